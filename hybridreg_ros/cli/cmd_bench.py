@@ -1,0 +1,150 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""`hybridreg bench`: milliseconds per stage of register() and step(), and peak memory."""
+
+from __future__ import annotations
+
+import resource
+import statistics
+import sys
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hybridreg_ros.cli.common import progress, write_result
+from hybridreg_ros.core.errors import ConfigError, WeightsError
+from hybridreg_ros.core.scan import NS_PER_S, Scan
+from hybridreg_ros.replay.report_tables import text_table
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    Cloud = NDArray[np.float32]
+
+BUILT_IN_SEED = 11
+FRAME_GAP_S = 0.1
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print."""
+    import torch
+
+    torch.set_num_threads(args.threads)
+    source, target = _clouds(args)
+    rest = _peak_mb()
+    stages: dict[str, dict[str, list[float]]] = {}
+    weights = _register(args, source, target, stages)
+    after_register = _peak_mb()
+    _step(args, source, target, stages)
+    rows = [['stage', 'median ms', 'fastest ms', 'slowest ms']]
+    for part, laps in stages.items():
+        rows += [
+            [f'{part} {stage}', *(f'{1000 * f(s):.1f}' for f in (statistics.median, min, max))]
+            for stage, s in laps.items()
+        ]
+    print(f'{len(source)} + {len(target)} points, {args.threads} threads, weights: {weights}')
+    print(text_table(rows))
+    print(f'peak memory      {rest:.0f} MB before, {after_register:.0f} MB after register(), ')
+    print(f'                 {_peak_mb():.0f} MB at the end')
+    write_result(
+        args,
+        {
+            'points': [len(source), len(target)],
+            'threads': args.threads,
+            'weights': weights,
+            'stages_s': stages,
+            'peak_mb': {'before': rest, 'register': after_register, 'end': _peak_mb()},
+        },
+    )
+    return 0
+
+
+def _peak_mb() -> float:
+    """Largest resident memory of this process so far."""
+    unit = 1e6 if sys.platform == 'darwin' else 1e3
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+
+
+def _clouds(args: argparse.Namespace) -> tuple[Cloud, Cloud]:
+    """The two clouds given, or two frames of a simulated room."""
+    if args.pair:
+        if len(args.pair) != 2:
+            raise ConfigError(f'bench takes two clouds or none, found {len(args.pair)}')
+        from hybridreg_ros.data.clouds import read_cloud
+
+        return read_cloud(args.pair[0]), read_cloud(args.pair[1])
+    from hybridreg_ros.data.simulate import simulate
+
+    frames = list(simulate('room', 2, 1.0, BUILT_IN_SEED))
+    clouds = [f.points[np.isfinite(f.points).all(axis=1)] for f in frames]
+    return clouds[1], clouds[0]
+
+
+def _collect(laps: dict[str, list[float]], timings: Mapping[str, float]) -> None:
+    for stage, seconds in timings.items():
+        laps.setdefault(stage, []).append(seconds)
+
+
+def _register(
+    args: argparse.Namespace,
+    source: Cloud,
+    target: Cloud,
+    stages: dict[str, dict[str, list[float]]],
+) -> str:
+    """Time register(); returns which weights were used."""
+    from hybridreg_ros.model.config import ModelConfig
+    from hybridreg_ros.model.register import HybridReg
+
+    try:
+        model = HybridReg.from_pretrained(args.weights)
+        weights = str(args.weights or 'packaged')
+    except WeightsError:
+        if args.weights is not None:
+            raise
+        model, weights = HybridReg(ModelConfig()), 'none packaged: random (times are valid)'
+    _measure(args, 'register', lambda: model.register(source, target).timings_s, stages)
+    return weights
+
+
+def _step(
+    args: argparse.Namespace,
+    source: Cloud,
+    target: Cloud,
+    stages: dict[str, dict[str, list[float]]],
+) -> None:
+    """Time step() on the second cloud of a new front end, with and without the network."""
+    from hybridreg_ros.odometry.config import OdometryConfig
+    from hybridreg_ros.odometry.frontend import HybridOdometry
+
+    gap = round(FRAME_GAP_S * NS_PER_S)
+    scans: Sequence[Scan] = (
+        Scan(target, stamp=NS_PER_S, frame_id='bench'),
+        Scan(source, stamp=NS_PER_S + gap, frame_id='bench'),
+    )
+    for registrar in ('hybridreg', 'kiss-icp'):
+        front_end = HybridOdometry(OdometryConfig(registrar=registrar))
+
+        def once(front_end: HybridOdometry = front_end) -> Mapping[str, float]:
+            front_end.reset()
+            front_end.step(scans[0])
+            return front_end.step(scans[1]).timings_s
+
+        _measure(args, f'step ({registrar})', once, stages)
+
+
+def _measure(
+    args: argparse.Namespace,
+    name: str,
+    once: Callable[[], Mapping[str, float]],
+    stages: dict[str, dict[str, list[float]]],
+) -> None:
+    """Run once to warm up, then as often as asked for."""
+    laps: dict[str, list[float]] = {}
+    once()
+    items: Sequence[Any] = range(args.repeat)
+    for _ in progress(items, args.repeat, name, 'run'):
+        _collect(laps, once())
+    stages[name] = laps

@@ -1,0 +1,26 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""`hybridreg dump-config`: every setting of the front end with its description and range."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hybridreg_ros.cli.common import odometry_config, write_result
+from hybridreg_ros.core.config import dump_yaml, to_dict
+
+if TYPE_CHECKING:
+    import argparse
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print or write the settings as YAML that `--config` reads."""
+    config = odometry_config(args.config)
+    text = dump_yaml(config)
+    if args.out is None:
+        print(text, end='')
+    else:
+        args.out.parent.mkdir(parents=True, exist_ok=True)
+        args.out.write_text(text, encoding='utf-8')
+    write_result(args, to_dict(config))
+    return 0

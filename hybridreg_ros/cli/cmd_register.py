@@ -1,0 +1,46 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""`hybridreg register`: two cloud files, their transform, its confidence and the time it took."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybridreg_ros.cli.common import write_result
+from hybridreg_ros.data.clouds import read_cloud
+from hybridreg_ros.model.register import HybridReg
+
+if TYPE_CHECKING:
+    import argparse
+
+
+def run(args: argparse.Namespace) -> int:
+    """Register and print."""
+    source, target = read_cloud(args.source), read_cloud(args.target)
+    result = HybridReg.from_pretrained(args.weights).register(source, target, args.voxel)
+    T = result.T_lgr if args.no_refine else result.T_target_source
+    print('T_target_source (metres):')
+    print('\n'.join('  ' + ' '.join(f'{value:14.9f}' for value in row) for row in T))
+    print(f'confidence       {result.confidence:.4f}')
+    print(f'inliers          {result.inliers} of {len(result.correspondences)} correspondences')
+    print(f'voxel size       {result.voxel_size_m:g} m')
+    for name, values in (('source', source), ('target', target)):
+        sigma2 = result.source_uncertainty if name == 'source' else result.target_uncertainty
+        print(f'{name} points    {len(values)}, mean uncertainty {float(np.mean(sigma2)):.3f}')
+    stages = ', '.join(f'{k} {1000 * v:.0f}' for k, v in result.timings_s.items())
+    print(f'milliseconds     {stages}')
+    write_result(
+        args,
+        {
+            'T_target_source': T,
+            'refined': not args.no_refine,
+            'confidence': result.confidence,
+            'inliers': result.inliers,
+            'correspondences': len(result.correspondences),
+            'voxel_size_m': result.voxel_size_m,
+            'timings_s': dict(result.timings_s),
+        },
+    )
+    return 0

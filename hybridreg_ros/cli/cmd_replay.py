@@ -1,0 +1,109 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""`hybridreg replay`: bags through the front end, offline or live, one or many."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hybridreg_ros.cli.common import bar, odometry_config, progress, write_result
+from hybridreg_ros.core.errors import BagError, ConfigError
+from hybridreg_ros.replay import report_tables, session
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterable
+
+    from hybridreg_ros.replay.report import ReportRun
+
+EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
+INTERRUPTED = 'interrupted (Ctrl-C)'
+
+
+def run(args: argparse.Namespace) -> int:
+    """Replay every bag, print one table, say where the results are."""
+    jobs = _jobs(args)
+    if args.live:
+        from hybridreg_ros.cli.live import LiveOptions, check_options, replay_live
+
+        check_options(args)
+        options = LiveOptions(args.rate, args.domain_id, args.timeout)
+        runs: Iterable[ReportRun] = (replay_live(job, options) for job in jobs)
+    elif len(jobs) > 1 and (args.workers > 1 or args.scheduler):
+        from hybridreg_ros.cli.many import each
+
+        done = each(session.replay, jobs, args.workers, args.scheduler)
+        runs = progress(done, len(jobs), 'bags', 'bag')
+    else:
+        runs = map(_offline, jobs)
+    return _report(args, jobs, runs)
+
+
+def _jobs(args: argparse.Namespace) -> list[session.Job]:
+    """One job per bag; the bags are checked before the first one starts."""
+    config = odometry_config(args.config, args.registrar)
+    if args.weights is not None and config.registrar == 'kiss-icp':
+        raise ConfigError('--weights has no effect with registrar kiss-icp: leave one of them out')
+    jobs = [
+        session.Job(
+            bag=bag,
+            out=_folder(args, bag),
+            config=config,
+            weights=args.weights,
+            topic=args.topic,
+            truth_topic=args.truth_topic,
+            time_unit=args.time_unit,
+            stride=args.stride,
+            max_frames=args.max_frames,
+            clouds=not args.no_clouds,
+        )
+        for bag in args.bags
+    ]
+    folders = [job.out.resolve() for job in jobs]
+    if len(set(folders)) < len(folders):
+        raise BagError('two bags of the same name would write into one folder: rename one')
+    return jobs
+
+
+def _folder(args: argparse.Namespace, bag: Path) -> Path:
+    """Folder of one bag's results."""
+    if args.out is None:
+        return Path('out') / bag.stem
+    out: Path = args.out
+    return out if len(args.bags) == 1 else out / bag.stem
+
+
+def _offline(job: session.Job) -> ReportRun:
+    _, count = session.planned_frames(job)
+    with bar(count, job.bag.name) as shown:
+        return session.replay(job, lambda _: shown.update())
+
+
+def _report(args: argparse.Namespace, jobs: list[session.Job], runs: Iterable[ReportRun]) -> int:
+    """Print the table as far as runs were made; the exit code says whether all are complete."""
+    rows: list[Any] = []
+    results: dict[str, Any] = {}
+    code = 0
+    for done, job in zip(runs, jobs, strict=True):
+        name = job.bag.stem if len(jobs) > 1 else done.name
+        rows.append((name, done.log, done.scores))
+        results[str(job.bag)] = done.metrics
+        for note in done.log.notes:
+            print(f'{job.bag}: {note}', file=sys.stderr)
+        if done.log.interrupted:
+            print(f'hybridreg: {job.bag}: {done.log.interrupted}', file=sys.stderr)
+            code = EXIT_INTERRUPTED if done.log.interrupted == INTERRUPTED else EXIT_ERROR
+            if code == EXIT_INTERRUPTED:
+                break
+        if done.scores.note:
+            print(f'{job.bag}: no trajectory score: {done.scores.note}', file=sys.stderr)
+    print(report_tables.text_table(report_tables.score_rows(rows)))
+    drops = sum(len(log.drops) for _, log, _ in rows)
+    if drops:
+        print(f'{drops} clouds were not used; metrics.json and report.html say why')
+    folders = ', '.join(str(job.out) for job in jobs[: len(rows)])
+    print(f'written: odometry.tum metrics.json report.html dynamic.mcap in {folders}')
+    write_result(args, next(iter(results.values())) if len(jobs) == 1 and results else results)
+    return code

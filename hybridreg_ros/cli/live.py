@@ -1,0 +1,112 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""The live side of `replay` and `demo`: the only door from the commands to the ROS part."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from hybridreg_ros.cli.common import bar
+from hybridreg_ros.core.errors import ConfigError, DependencyError
+from hybridreg_ros.replay import session
+from hybridreg_ros.replay.bag_reader import open_bag
+from hybridreg_ros.replay.live_log import LiveRecorder
+from hybridreg_ros.replay.runner import INTERRUPTED, Drop
+
+if TYPE_CHECKING:
+    import argparse
+
+    from hybridreg_ros.replay.report import ReportRun
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """How a bag is played into the node.
+
+    Attributes:
+        rate: speed, 1 = as recorded, 0 = as fast as the node can.
+        domain_id: ROS domain, None for one of our own.
+        timeout_s: longest silence of the node.
+    """
+
+    rate: float = 1.0
+    domain_id: int | None = None
+    timeout_s: float = 60.0
+
+
+def check_options(args: argparse.Namespace) -> None:
+    """Refuse what only an offline replay can do.
+
+    Raises:
+        ConfigError: names the option.
+    """
+    refused = {
+        '--stride': args.stride != 1,
+        '--max-frames': args.max_frames is not None,
+        '--time-unit': args.time_unit != 'auto',
+        '--weights': args.weights is not None,
+        '--no-clouds': args.no_clouds,
+    }
+    for option, used in refused.items():
+        if used:
+            raise ConfigError(f'{option} does not go with --live: leave one of them out')
+
+
+def _said(diagnostics: str) -> list[str]:
+    """Findings of the node's last diagnostics; that the bag has ended is none."""
+    findings = diagnostics.split('; ')
+    return [f for f in findings if f not in ('', 'ok') and not f.startswith('no cloud for')]
+
+
+def replay_live(job: session.Job, options: LiveOptions) -> ReportRun:
+    """Play a bag into the real node over DDS; record, score and report what it publishes.
+
+    Args:
+        job: bag, output folder and settings.
+        options: speed, domain, patience.
+
+    Raises:
+        DependencyError: rclpy is not installed.
+        HybridRegError: the node did not start or went silent.
+    """
+    try:
+        from hybridreg_ros.ros import live
+    except ModuleNotFoundError as error:
+        raise DependencyError(
+            f"--live needs {error.name}: pip install 'hybridreg_ros[ros]', or source ROS 2 Jazzy"
+        ) from None
+    topic, count = session.planned_frames(job)
+    with open_bag(job.bag) as bag:
+        truth = bag.ground_truth(job.truth_topic)
+    job.out.mkdir(parents=True, exist_ok=True)
+    recorder = LiveRecorder(job.out, count)
+    about: dict[str, Any] = {'topic': topic, 'stride': 1, 'live': True, 'rate': options.rate}
+    with bar(count, job.bag.name) as shown, contextlib.closing(recorder):
+
+        def on_odom(msg: Any) -> None:
+            recorder.on_odom(msg)
+            shown.update()
+
+        try:
+            report = live.run_live(
+                job.bag,
+                topic,
+                job.config,
+                on_odom,
+                recorder.on_dynamic,
+                recorder.on_static,
+                rate=options.rate,
+                domain_id=options.domain_id,
+                timeout_s=options.timeout_s,
+            )
+            about['transport'] = report
+            recorder.log.notes += [f'the node says: {text}' for text in _said(report.diagnostics)]
+            recorder.log.drops += [
+                Drop(0, f'{cause}: {n} clouds dropped by the node')
+                for cause, n in report.dropped.items()
+            ]
+        except KeyboardInterrupt:
+            recorder.log.interrupted = INTERRUPTED
+    return session.finish(job, recorder.log, truth, recorder.album.views(), about)

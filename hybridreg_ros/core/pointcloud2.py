@@ -1,0 +1,298 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""sensor_msgs/PointCloud2, duck-typed, to Scan and back; numpy only, no ROS import.
+
+One decoder serves the live node (rclpy messages) and the bag reader (rosbags messages).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from hybridreg_ros.core.errors import PointCloudError
+from hybridreg_ros.core.point_times import to_seconds
+from hybridreg_ros.core.scan import NS_PER_S, Scan
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+TIME_FIELDS = ('t', 'time', 'timestamp', 'offset_time', 'time_stamp', 'times', 'stamp')
+"""Names under which lidar drivers store per-point times (Ouster, Velodyne, Hesai, Livox, ...)."""
+
+_FORMATS = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
+_CODES = {np.dtype(name): code for code, name in _FORMATS.items()}
+
+
+class Field(NamedTuple):
+    """One sensor_msgs/PointField: name, byte offset in the point, datatype code 1..8, count."""
+
+    name: str
+    offset: int
+    datatype: int
+    count: int  # type: ignore[assignment]  # a tuple's own count() is not used here
+
+
+@dataclass(frozen=True, eq=False)
+class CloudData:
+    """The attributes of a sensor_msgs/PointCloud2 without its header.
+
+    Attributes:
+        height: rows of an organised cloud, 1 otherwise.
+        width: points per row.
+        fields: layout of one point.
+        is_bigendian: byte order of `data`.
+        point_step: bytes per point.
+        row_step: bytes per row.
+        data: (height * row_step,) uint8.
+        is_dense: True when no point holds NaN or inf.
+    """
+
+    height: int
+    width: int
+    fields: tuple[Field, ...]
+    is_bigendian: bool
+    point_step: int
+    row_step: int
+    data: NDArray[np.uint8]
+    is_dense: bool
+
+
+def to_scan(msg: Any, time_unit: str = 'auto', scan_period_s: float = 0.1) -> Scan:
+    """Decode a PointCloud2 message: any field layout, offset, padding and byte order.
+
+    Args:
+        msg: object with the attributes of sensor_msgs/PointCloud2 (rclpy, rosbags or alike).
+        time_unit: unit of the per-point times: auto, s, ms, us, ns, normalised or none.
+        scan_period_s: seconds that a normalised time of 1 stands for.
+
+    Returns:
+        The scan; rows with a NaN or inf coordinate are left out of every field. `Scan.notes` says
+        when per-point times were present and could not be used. An empty cloud gives N = 0.
+
+    Raises:
+        PointCloudError: the layout contradicts itself, data are missing, or x, y, z are absent.
+    """
+    rows_data = _rows(msg)
+    layout = _dtype(msg)
+    missing = [axis for axis in 'xyz' if axis not in (layout.names or ())]
+    if missing:
+        found = ', '.join(layout.names or ()) or 'none'
+        raise PointCloudError(f'PointCloud2 lacks field {", ".join(missing)}; found: {found}')
+    table = rows_data.view(layout).reshape(-1)
+    xyz = np.empty((len(table), 3), dtype=np.float32)
+    with np.errstate(over='ignore', invalid='ignore'):
+        for column, axis in enumerate('xyz'):
+            values = table[axis]
+            xyz[:, column] = values if values.ndim == 1 else values[:, 0]
+    valid = np.isfinite(xyz).all(axis=1)
+    rows = np.flatnonzero(valid)
+    stamp = int(msg.header.stamp.sec) * NS_PER_S + int(msg.header.stamp.nanosec)
+    times: NDArray[np.float64] | None = None
+    notes: tuple[str, ...] = ()
+    name = next((n for n in TIME_FIELDS if n in (layout.names or ())), None)
+    if name is not None and time_unit != 'none' and len(rows):
+        raw = table[name] if table[name].ndim == 1 else table[name][:, 0]
+        times, note = to_seconds(raw[rows], stamp, time_unit, scan_period_s)
+        notes = (f'field {name}: {note}',) if note else ()
+    return Scan(
+        points=xyz if len(rows) == len(xyz) else xyz[rows],
+        times=times,
+        stamp=stamp,
+        frame_id=str(msg.header.frame_id),
+        rows=rows,
+        size=len(table),
+        shape=(int(msg.height), int(msg.width)),
+        notes=notes,
+    )
+
+
+def field_values(msg: Any, name: str) -> NDArray[Any]:
+    """Values of one scalar field for every row of the message, invalid rows included.
+
+    Args:
+        msg: as for `to_scan`.
+        name: field name, for example 'label'.
+
+    Returns:
+        (height * width,) in the field's own type, native byte order.
+
+    Raises:
+        PointCloudError: no such field, or a broken layout.
+    """
+    layout = _dtype(msg)
+    if name not in (layout.names or ()):
+        found = ', '.join(layout.names or ()) or 'none'
+        raise PointCloudError(f'PointCloud2 lacks field {name}; found: {found}')
+    values = _rows(msg).view(layout).reshape(-1)[name]
+    values = values if values.ndim == 1 else values[:, 0]
+    return np.ascontiguousarray(values.astype(values.dtype.newbyteorder('=')))
+
+
+def has_field(msg: Any, name: str) -> bool:
+    """True when the message has a field of that name."""
+    return any(f.name == name for f in msg.fields)
+
+
+def with_field(
+    msg: Any, scan: Scan, name: str, values: NDArray[np.float32], keep: NDArray[np.bool_]
+) -> CloudData:
+    """Pick points of a message and add one float32 field; all input fields stay byte for byte.
+
+    Args:
+        msg: the message that `scan` was decoded from.
+        scan: its scan, N points.
+        name: field to add; an existing float32 field of this name is overwritten.
+        values: (N,) one value per point of the scan.
+        keep: (N,) True for points to keep.
+
+    Returns:
+        An unorganised cloud (height 1) of the kept points in the message's byte order.
+
+    Raises:
+        PointCloudError: lengths differ, or `name` exists with another type.
+    """
+    if len(values) != len(scan) or len(keep) != len(scan):
+        raise PointCloudError(
+            f'expected {len(scan)} values and flags, found {len(values)} and {len(keep)}'
+        )
+    fields = tuple(Field(f.name, int(f.offset), int(f.datatype), int(f.count)) for f in msg.fields)
+    old = next((f for f in fields if f.name == name), None)
+    if old is not None and (old.datatype != 7 or old.count > 1):
+        raise PointCloudError(f'field {name} exists with datatype {old.datatype}, expected 7')
+    picked = _rows(msg)[scan.rows[keep]]
+    step = int(msg.point_step)
+    offset = old.offset if old is not None else -(-step // 4) * 4
+    new_step = step if old is not None else offset + 4
+    data = np.zeros((len(picked), new_step), dtype=np.uint8)
+    data[:, :step] = picked
+    order = '>' if msg.is_bigendian else '<'
+    added = np.ascontiguousarray(values[keep], dtype=f'{order}f4')
+    data[:, offset : offset + 4] = added.view(np.uint8).reshape(-1, 4)
+    if old is None:
+        fields = (*fields, Field(name, offset, 7, 1))
+    return CloudData(
+        height=1,
+        width=len(picked),
+        fields=fields,
+        is_bigendian=bool(msg.is_bigendian),
+        point_step=new_step,
+        row_step=new_step * len(picked),
+        data=data.reshape(-1),
+        is_dense=True,
+    )
+
+
+def from_arrays(
+    points: NDArray[np.floating],
+    extra: Mapping[str, NDArray[Any]] | None = None,
+    shape: tuple[int, int] | None = None,
+) -> CloudData:
+    """Encode points as little-endian PointCloud2 data.
+
+    Args:
+        points: (N, 3), metres; NaN rows mark missing returns of an organised cloud.
+        extra: further per-point scalars (N,), for example {'t': seconds, 'label': uint8}.
+        shape: (height, width) of an organised cloud, default (1, N).
+
+    Raises:
+        PointCloudError: an extra field has another length or an unsupported type.
+    """
+    n = len(points)
+    height, width = shape or (1, n)
+    if height * width != n:
+        raise PointCloudError(f'shape {height}x{width} does not hold {n} points')
+    columns: dict[str, NDArray[Any]] = {
+        axis: np.asarray(points[:, k], dtype=np.float32) for k, axis in enumerate('xyz')
+    }
+    for name, values in (extra or {}).items():
+        if np.shape(values) != (n,):
+            raise PointCloudError(f'field {name} must be ({n},), found {np.shape(values)}')
+        if np.dtype(values.dtype).newbyteorder('=') not in _CODES:
+            raise PointCloudError(f'field {name}: PointCloud2 cannot hold {values.dtype}')
+        columns[name] = values
+    fields, offset = [], 0
+    for name, values in columns.items():
+        size = values.dtype.itemsize
+        offset = -(-offset // size) * size
+        code = _CODES[np.dtype(values.dtype).newbyteorder('=')]
+        fields.append(Field(name, offset, code, 1))
+        offset += size
+    step = -(-offset // 4) * 4
+    layout = np.dtype(
+        {
+            'names': [f.name for f in fields],
+            'formats': ['<' + _FORMATS[f.datatype] for f in fields],
+            'offsets': [f.offset for f in fields],
+            'itemsize': step,
+        }
+    )
+    table = np.zeros(n, dtype=layout)
+    for name, values in columns.items():
+        table[name] = values
+    return CloudData(
+        height=height,
+        width=width,
+        fields=tuple(fields),
+        is_bigendian=False,
+        point_step=step,
+        row_step=step * width,
+        data=table.view(np.uint8).reshape(-1),
+        is_dense=bool(np.isfinite(points).all()),
+    )
+
+
+def _dtype(msg: Any) -> np.dtype[Any]:
+    """Structured type of one point; raises when a field does not fit into point_step."""
+    order = '>' if msg.is_bigendian else '<'
+    names, formats, offsets = [], [], []
+    step = int(msg.point_step)
+    for f in msg.fields:
+        if f.datatype not in _FORMATS:
+            raise PointCloudError(f'field {f.name}: unknown datatype {f.datatype}, expected 1..8')
+        if f.name in names:
+            raise PointCloudError(f'field {f.name} stands twice in the PointCloud2')
+        count = max(int(f.count), 1)
+        end = int(f.offset) + count * np.dtype(_FORMATS[f.datatype]).itemsize
+        if f.offset < 0 or end > step:
+            raise PointCloudError(
+                f'field {f.name} ends at byte {end} but point_step is {step}: wrong point_step'
+            )
+        names.append(f.name)
+        formats.append(
+            f'({count},){order}{_FORMATS[f.datatype]}'
+            if count > 1
+            else (order + _FORMATS[f.datatype])
+        )
+        offsets.append(int(f.offset))
+    return np.dtype(
+        {'names': names, 'formats': formats, 'offsets': offsets, 'itemsize': max(step, 1)}
+    )
+
+
+def _rows(msg: Any) -> NDArray[np.uint8]:
+    """Bytes of every point, (height * width, point_step), row padding removed."""
+    height, width = int(msg.height), int(msg.width)
+    step, row_step = int(msg.point_step), int(msg.row_step)
+    buffer = np.frombuffer(msg.data, dtype=np.uint8)
+    if height * width == 0:
+        return np.zeros((0, max(step, 1)), dtype=np.uint8)
+    if step <= 0:
+        raise PointCloudError(f'point_step is {step}, expected the bytes of one point')
+    if row_step < width * step:
+        raise PointCloudError(
+            f'row_step is {row_step}, expected >= width * point_step = {width * step}'
+        )
+    needed = (height - 1) * row_step + width * step
+    if len(buffer) < needed:
+        raise PointCloudError(
+            f'truncated data: {height}x{width} points need {needed} bytes, found {len(buffer)}'
+        )
+    if row_step == width * step or height == 1:
+        return buffer[: height * width * step].reshape(height * width, step)
+    lines = [buffer[r * row_step : r * row_step + width * step] for r in range(height)]
+    return np.concatenate(lines).reshape(height * width, step)

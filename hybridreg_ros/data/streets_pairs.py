@@ -1,0 +1,227 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Pairs of lidar scans of one street: choose places and times, scan, crop, measure overlap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybridreg_ros.core.se3 import apply, inverse
+from hybridreg_ros.data.clouds_overlap import near_cells
+from hybridreg_ros.data.geometry import voxel_thin
+from hybridreg_ros.data.hybridmatch_take import Cell, Sample
+from hybridreg_ros.data.lidar import SpinningLidar, random_lidar
+from hybridreg_ros.data.pair import PointPair
+from hybridreg_ros.data.raycast import Caster
+from hybridreg_ros.data.streets import StreetWorld, make_street
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    F32 = NDArray[np.float32]
+    F64 = NDArray[np.float64]
+
+VOXEL_SIZE_M = 0.3
+_SEEN_M = 0.3
+_MIN_POINTS = 900
+_MAX_POINTS = 15000
+_MIN_SHARED = 250
+_COLUMNS = 720
+_CROPS_M = (80.0, 60.0, 45.0, 34.0, 26.0, 20.0, 15.0, 12.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """One scan as a list of points, deskewed as well as a real front end can.
+
+    Attributes:
+        points: (N, 3) float32 measured, sensor frame at the stamp.
+        true: (N, 3) float32 without noise.
+        label: (N,) uint8.
+        instance: (N,) uint16.
+        plane: (N,) number of the large flat part, 0 = none.
+        T_world_sensor: (4, 4) at the stamp.
+        time_s: of the stamp.
+    """
+
+    points: F32
+    true: F32
+    label: NDArray[np.uint8]
+    instance: NDArray[np.uint16]
+    plane: NDArray[np.int32]
+    T_world_sensor: F64
+    time_s: float
+
+    def rows(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> _View:
+        """The view of some points."""
+        return _View(self.points[keep], self.true[keep], self.label[keep], self.instance[keep],
+                     self.plane[keep], self.T_world_sensor, self.time_s)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Crop:
+    """What is kept of both scans.
+
+    Attributes:
+        range_m: farthest point.
+        drop: numbers of the flat parts that are removed.
+        sector: centre and half width of the azimuth that is kept, radians.
+        thin_m: voxel of the thinned clouds.
+    """
+
+    range_m: float
+    drop: NDArray[np.int32]
+    sector: tuple[float, float]
+    thin_m: float
+
+    def of(self, view: _View) -> _View:
+        """The kept and thinned points of a view."""
+        x, y = view.points[:, 0], view.points[:, 1]
+        off = np.abs((np.arctan2(y, x) - self.sector[0] + np.pi) % (2.0 * np.pi) - np.pi)
+        near = np.hypot(x, y) < self.range_m
+        kept = view.rows(near & (off < self.sector[1]) & ~np.isin(view.plane, self.drop))
+        voxel = self.thin_m
+        thin = voxel_thin(kept.points, voxel)
+        while len(thin) > _MAX_POINTS:
+            voxel *= max(1.1, float(np.sqrt(len(thin) / _MAX_POINTS)))
+            thin = voxel_thin(kept.points, voxel)
+        return kept.rows(thin)
+
+
+def street_pair(seed: int, cell: Cell) -> PointPair | None:
+    """One pair of a cell from a random street; None when this street cannot give one."""
+    samples = street_cell(seed, cell, 1)
+    return samples[0].pair if samples else None
+
+
+def street_cell(
+    seed: int, cell: Cell, count: int = 4, *, still: bool = False, name: str = 'street'
+) -> list[Sample]:
+    """Pairs of one random street that belong to a cell, at most `count`.
+
+    Args:
+        seed: of everything.
+        cell: what the pairs must be.
+        count: most pairs.
+        still: take every target without motion, too.
+        name: begin of the pairs' names.
+    """
+    rng = np.random.default_rng([seed, 3])
+    wanted = cell.dynamic if not cell.frozen else (0.1, 0.3)
+    low_overlap = cell.overlap[1] <= 0.5
+    world = make_street(rng, None, (min(wanted[0], 0.9), min(wanted[1], 1.0)), travel_m=45.0)
+    caster = Caster(world.scene)
+    lidar = random_lidar(rng, columns=_COLUMNS)
+    samples: list[Sample] = []
+    speed = world.path.ride.speed_mps
+    target = _take(rng, world, caster, lidar, float(rng.uniform(0.0, 15.0)) / speed, None)
+    for k in range(count):
+        own = np.random.default_rng([seed, 4, k])
+        baseline = float(own.uniform(5.0, 25.0) if low_overlap else own.uniform(0.5, 12.0))
+        time_s = target.time_s + max(baseline / speed, float(own.uniform(0.25, 0.6)))
+        frozen = target.time_s if cell.frozen else None
+        source = _take(own, world, caster, lidar, time_s, frozen, shift=True)
+        made = _fit(own, source, target, cell)
+        if made is None:
+            continue
+        pair, crop = made
+        twin = None
+        if still:
+            twin = pair.target if cell.frozen else crop.of(
+                _take(own, world, caster, lidar, target.time_s, time_s, pose=target)
+            ).points  # fmt: skip
+        pair = replace(pair, name=f'{name}-{seed:07d}-{k}', seed=seed)
+        samples.append(Sample(pair, _displacement(world, pair, target.time_s, time_s, cell), twin))
+    return samples
+
+
+def _take(
+    rng: np.random.Generator, world: StreetWorld, caster: Caster, lidar: SpinningLidar,
+    time_s: float, frozen_s: float | None, *, shift: bool = False,
+    pose: _View | None = None,
+) -> _View:  # fmt: skip
+    """Scan from the way at a time, or with `pose` from exactly that view's place.
+
+    The scan is taken on the move and deskewed with a slightly wrong velocity, as a front end
+    would do.
+    """
+    path = world.path
+    s = path.ride.start_m + path.ride.speed_mps * time_s
+    offset = float(rng.normal(0.0, 0.25)) if shift else 0.0
+    sharp = rng.random() < 0.25
+    turn = float(rng.normal(0.0, 0.6 if sharp else 0.12)) if shift else 0.0
+    speed = path.ride.speed_mps * float(rng.uniform(0.0, 1.0))
+    if pose is not None:
+        place = pose.T_world_sensor
+
+    def pose_at(t: float) -> F64:
+        if pose is not None:
+            return place
+        return path.pose_from(s + speed * (t - time_s), t, offset_m=offset, turn_rad=turn)
+
+    scan = lidar.scan(caster, time_s, pose_at, rng, loss=world.loss, slices=4, frozen_s=frozen_s)
+    wrong = 1.0 + float(rng.normal(0.0, 0.03))
+    raw, best = scan.points, scan.deskewed()
+    points = (raw + np.float32(wrong) * (best - raw)).reshape(-1, 3)
+    rows = np.nonzero(np.isfinite(points).all(1))[0]
+    rows = rows[np.argsort(rng.random(len(rows)), kind='stable')]
+    plane = np.append(world.plane, 0)[scan.face.reshape(-1)[rows]]
+    label, instance = scan.label.reshape(-1)[rows], scan.instance.reshape(-1)[rows]
+    return _View(points[rows], scan.true.reshape(-1, 3)[rows], label, instance,
+                 plane.astype(np.int32), pose_at(time_s), time_s)  # fmt: skip
+
+
+def _fit(
+    rng: np.random.Generator, source: _View, target: _View, cell: Cell
+) -> tuple[PointPair, _Crop] | None:
+    """The first of some random crops with which a pair suits its cell, None when none does."""
+    T = inverse(target.T_world_sensor) @ source.T_world_sensor
+    planes = np.unique(np.concatenate([source.plane, target.plane]))
+    ranges = rng.permutation(_CROPS_M) if cell.dynamic[0] < 0.25 else np.array(_CROPS_M)[::-1]
+    thin = float(rng.uniform(0.12, 0.16))
+    for far in ranges:
+        for whole in (True, False):
+            chance = np.where(planes == 1, 0.85, 0.7) * (0.3 if whole else 1.0)
+            drop = planes[(planes > 0) & (rng.random(len(planes)) < chance)]
+            wide = np.pi if rng.random() < 0.7 else float(rng.uniform(0.9, 2.4))
+            crop = _Crop(float(far), drop, (0.0, wide), thin)
+            pair = _measure(crop.of(source), crop.of(target), T, cell)
+            if pair is not None:
+                return pair, crop
+    return None
+
+
+def _measure(source: _View, target: _View, T: F64, cell: Cell) -> PointPair | None:
+    """The pair of two cropped views, None when it does not suit the cell."""
+    if min(len(source.points), len(target.points)) < _MIN_POINTS:
+        return None
+    blank = np.zeros_like
+    s_label = blank(source.label) if cell.frozen else source.label
+    t_label = blank(target.label) if cell.frozen else target.label
+    s_instance = blank(source.instance) if cell.frozen else source.instance
+    t_instance = blank(target.instance) if cell.frozen else target.instance
+    share = float((s_label > 0).sum() + (t_label > 0).sum()) / (len(s_label) + len(t_label))
+    if not cell.frozen and not cell.dynamic[0] <= share <= cell.dynamic[1]:
+        return None
+    mine = apply(T, source.true[s_label == 0].astype(np.float64)).astype(np.float64)
+    seen = near_cells(mine, target.true[t_label == 0].astype(np.float64), _SEEN_M)
+    overlap = float(seen.mean()) if len(seen) else 0.0
+    if not cell.overlap[0] < overlap < cell.overlap[1] or seen.sum() < _MIN_SHARED:
+        return None
+    return PointPair(source.points, target.points, T, s_label, t_label, s_instance, t_instance,
+                     overlap, share, VOXEL_SIZE_M)  # fmt: skip
+
+
+def _displacement(
+    world: StreetWorld, pair: PointPair, first_s: float, second_s: float, cell: Cell
+) -> float:
+    """Mean displacement of the vertices of the mover that shows most points, metres."""
+    seen = np.concatenate([pair.source_instance, pair.target_instance])
+    if cell.frozen or not seen.any():
+        return 0.0
+    key = world.scene.movers[int(np.bincount(seen[seen > 0]).argmax()) - 1]
+    a, b = key.mesh_at(first_s).vertices, key.mesh_at(second_s).vertices
+    return float(np.linalg.norm(b - a, axis=1).mean())

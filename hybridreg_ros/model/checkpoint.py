@@ -1,0 +1,178 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Weights files: one safetensors file with config, provenance and calibration in its metadata.
+
+Files are loaded strictly and never unpickled.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+
+from hybridreg_ros.core.config import from_dict, to_dict
+from hybridreg_ros.core.errors import ConfigError, WeightsError
+from hybridreg_ros.model.confidence import Calibration
+from hybridreg_ros.model.config import ModelConfig
+from hybridreg_ros.model.network import HybridRegNet
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+FORMAT = 'hybridreg-weights-1'
+_PICKLE_STARTS = (b'PK\x03\x04', b'\x80')
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """A network and what its file says about it.
+
+    Attributes:
+        network: in evaluation mode, on the CPU, float32.
+        calibration: logistic model of the confidence.
+        provenance: how the weights were made, plain values.
+        path: the file.
+    """
+
+    network: HybridRegNet
+    calibration: Calibration
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    path: str = ''
+
+
+def save_network(
+    path: str | Path,
+    network: HybridRegNet,
+    provenance: Mapping[str, Any],
+    calibration: Calibration | None = None,
+    half: bool = False,
+) -> None:
+    """Write a weights file.
+
+    Args:
+        path: file to write.
+        network: its parameters and its config are stored.
+        provenance: plain values (data version, seeds, steps, hours, validation table).
+        calibration: of the confidence; None leaves it to the default of the loading package.
+        half: store float16 numbers, half the size.
+
+    Raises:
+        WeightsError: the file cannot be written.
+    """
+    kind = torch.float16 if half else torch.float32
+    tensors = {k: v.detach().cpu().to(kind) for k, v in network.state_dict().items()}
+    metadata = {
+        'format': FORMAT,
+        'config': json.dumps(to_dict(network.config)),
+        'calibration': json.dumps(to_dict(calibration or Calibration())),
+        'provenance': json.dumps(dict(provenance)),
+    }
+    try:
+        save_file({k: v.contiguous() for k, v in tensors.items()}, str(path), metadata)
+    except (OSError, SafetensorError) as error:
+        raise WeightsError(f'cannot write weights to {path}: {_one_line(error)}') from None
+
+
+def load_network(path: str | Path) -> HybridRegNet:
+    """The network of a weights file, in evaluation mode.
+
+    Raises:
+        WeightsError: see `load_checkpoint`.
+    """
+    return load_checkpoint(path).network
+
+
+def load_checkpoint(path: str | Path) -> Checkpoint:
+    """Read a weights file strictly.
+
+    Raises:
+        WeightsError: the file is missing, truncated, a pickle, not ours, or does not fit.
+    """
+    metadata, tensors = _read(Path(path))
+    if metadata.get('format') != FORMAT:
+        raise WeightsError(
+            f'{path} is a safetensors file without HybridReg metadata: expected format '
+            f'{FORMAT}, found {metadata.get("format")!r}'
+        )
+    try:
+        config = from_dict(ModelConfig, json.loads(metadata['config']))
+        stored = json.loads(metadata['calibration'])
+        calibration = from_dict(Calibration, stored) if stored.get('fitted') else Calibration()
+        provenance = json.loads(metadata['provenance'])
+    except (KeyError, ValueError, ConfigError) as error:
+        raise WeightsError(f'{path} has unreadable metadata: {_one_line(error)}') from None
+    network = HybridRegNet(config)
+    _check_shapes(path, network.state_dict(), tensors)
+    network.load_state_dict({k: v.float() for k, v in tensors.items()}, strict=True)
+    return Checkpoint(network.eval(), calibration, provenance, str(path))
+
+
+def packaged_weights() -> Path:
+    """The weights file that this package ships.
+
+    Raises:
+        WeightsError: the package holds none, or more than one.
+    """
+    folder = Path(__file__).parent / 'weights'
+    found = sorted(folder.glob('*.safetensors'))
+    if not found:
+        raise WeightsError(
+            'this version ships no trained weights yet: train some with `hybridreg train`, or '
+            'give the path of a weights file'
+        )
+    if len(found) > 1:
+        names = ', '.join(f.name for f in found)
+        raise WeightsError(f'expected one weights file in {folder}, found {names}')
+    return found[0]
+
+
+def _read(path: Path) -> tuple[dict[str, str], dict[str, torch.Tensor]]:
+    """Metadata and tensors of a safetensors file."""
+    try:
+        with open(path, 'rb') as stream:
+            start = stream.read(9)
+    except OSError as error:
+        raise WeightsError(f'cannot read weights {path}: {error.strerror}') from None
+    # A safetensors file holds the length of its header in 8 bytes, then the header, a JSON object.
+    if start.startswith(_PICKLE_STARTS) and start[8:] != b'{':
+        raise WeightsError(
+            f'{path} is a pickle or torch.save file, which is never opened because it can run '
+            'code: expected a .safetensors file'
+        )
+    try:
+        with safe_open(str(path), framework='pt') as file:
+            metadata = dict(file.metadata() or {})
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise WeightsError(
+            f'{path} is truncated or not a safetensors file: {_one_line(error)}'
+        ) from None
+    return metadata, tensors
+
+
+def _check_shapes(
+    path: str | Path, expected: Mapping[str, torch.Tensor], found: Mapping[str, torch.Tensor]
+) -> None:
+    """Raise the first difference between the parameters of a network and of a file."""
+    missing, extra = sorted(expected.keys() - found.keys()), sorted(found.keys() - expected.keys())
+    if missing or extra:
+        raise WeightsError(
+            f'{path} does not fit its config: {len(missing)} parameters missing '
+            f'({", ".join(missing[:2])}), {len(extra)} unknown ({", ".join(extra[:2])})'
+        )
+    for name, tensor in expected.items():
+        if tensor.shape != found[name].shape:
+            raise WeightsError(
+                f'{path} does not fit its config: {name} expected shape {tuple(tensor.shape)}, '
+                f'found {tuple(found[name].shape)}'
+            )
+
+
+def _one_line(error: Exception) -> str:
+    return ' '.join(str(error).split())

@@ -1,0 +1,204 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""KPConv's influence weights as a sparse matrix that every layer of a level shares.
+
+A kernel point reaches only the neighbours near it, about a third of all weights are not zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from hybridreg_ros.model.ops import compiled
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Tensor = torch.Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class KernelOperator:
+    """Sparse (M * K, N) matrix in CSR form: row m * K + k gathers kernel point k of point m.
+
+    Attributes:
+        starts: (M * K + 1,) int32 first entry of every row.
+        columns: (E,) int32 input point of every entry.
+        weights: (E,) float32 influence / number of neighbours of m.
+        kernel_points: K.
+        inputs: N.
+    """
+
+    starts: Tensor
+    columns: Tensor
+    weights: Tensor
+    kernel_points: int
+    inputs: int
+
+    @property
+    def outputs(self) -> int:
+        """Number of output points M."""
+        return (self.starts.shape[0] - 1) // self.kernel_points
+
+
+def kernel_points(count: int, radius: float) -> NDArray[np.float32]:
+    """(count, 3) kernel points: the centre, and a Fibonacci sphere of the given radius."""
+    outer = count - 1
+    i = np.arange(outer) + 0.5
+    z = 1.0 - 2.0 * i / outer
+    ring = np.sqrt(1.0 - z * z)
+    turn = np.pi * (1.0 + 5.0**0.5) * i
+    sphere = np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1) * radius
+    return np.concatenate([np.zeros((1, 3)), sphere]).astype(np.float32)
+
+
+@compiled
+def _influences(
+    queries: NDArray[np.float32],
+    support: NDArray[np.float32],
+    neighbours: NDArray[np.int32],
+    kernel: NDArray[np.float32],
+    extent: float,
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
+    """Linear influence of every (kernel point, neighbour), the zero ones left out."""
+    m, h = neighbours.shape
+    k, n = kernel.shape[0], support.shape[0]
+    starts = np.zeros(m * k + 1, np.int32)
+    columns = np.empty(m * h * k + 1, np.int32)
+    weights = np.empty(m * h * k + 1, np.float32)
+    local = np.empty((k, h), np.float32)
+    kx, ky, kz = kernel[:, 0].copy(), kernel[:, 1].copy(), kernel[:, 2].copy()
+    x, y, z = np.empty(h, np.float32), np.empty(h, np.float32), np.empty(h, np.float32)
+    inverse = np.float32(1.0 / extent)
+    entries = 0
+    for q in range(m):
+        count = 0
+        while count < h and neighbours[q, count] < n:
+            j = neighbours[q, count]
+            x[count] = support[j, 0] - queries[q, 0]
+            y[count] = support[j, 1] - queries[q, 1]
+            z[count] = support[j, 2] - queries[q, 2]
+            count += 1
+        share = np.float32(1.0) / np.float32(max(count, 1))
+        for p in range(k):
+            for i in range(count):
+                dx, dy, dz = x[i] - kx[p], y[i] - ky[p], z[i] - kz[p]
+                d = np.sqrt(dx * dx + dy * dy + dz * dz)
+                local[p, i] = share * (np.float32(1.0) - d * inverse)
+        for p in range(k):
+            for i in range(count):  # written always, kept only where positive: no branch to guess
+                columns[entries] = neighbours[q, i]
+                weights[entries] = local[p, i]
+                entries += 1 if local[p, i] > 0.0 else 0
+            starts[q * k + p + 1] = entries
+    return starts, columns[:entries].copy(), weights[:entries].copy()
+
+
+def kernel_operator(
+    queries: NDArray[np.float32],
+    support: NDArray[np.float32],
+    neighbours: NDArray[np.int32],
+    kernel: NDArray[np.float32],
+    extent: float,
+) -> KernelOperator:
+    """Influence weights of one level.
+
+    Args:
+        queries: (M, 3) float32 output points.
+        support: (N, 3) float32 input points, same unit.
+        neighbours: (M, H) int32 inputs near each output, padded with N.
+        kernel: (K, 3) float32 kernel points, same unit.
+        extent: distance at which the influence of a kernel point ends, same unit.
+    """
+    starts, columns, weights = _influences(queries, support, neighbours, kernel, extent)
+    return KernelOperator(
+        torch.from_numpy(starts),
+        torch.from_numpy(columns),
+        torch.from_numpy(weights),
+        len(kernel),
+        len(support),
+    )
+
+
+@compiled
+def _gather(
+    x: NDArray[np.float32],
+    starts: NDArray[np.int32],
+    columns: NDArray[np.int32],
+    weights: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    rows, channels = starts.shape[0] - 1, x.shape[1]
+    out = np.zeros((rows, channels), np.float32)
+    for r in range(rows):
+        for e in range(starts[r], starts[r + 1]):
+            w, j = weights[e], columns[e]
+            for c in range(channels):
+                out[r, c] += w * x[j, c]
+    return out
+
+
+@compiled
+def _scatter(
+    g: NDArray[np.float32],
+    starts: NDArray[np.int32],
+    columns: NDArray[np.int32],
+    weights: NDArray[np.float32],
+    inputs: int,
+) -> NDArray[np.float32]:
+    rows, channels = g.shape
+    out = np.zeros((inputs, channels), np.float32)
+    for r in range(rows):
+        for e in range(starts[r], starts[r + 1]):
+            w, j = weights[e], columns[e]
+            for c in range(channels):
+                out[j, c] += w * g[r, c]
+    return out
+
+
+class _Aggregate(torch.autograd.Function):
+    """Sparse product on the CPU: compiled gather forward, compiled scatter backward."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, operator: KernelOperator) -> Tensor:
+        ctx.operator = operator
+        return torch.from_numpy(_gather(x.detach().contiguous().numpy(), *_arrays(operator)))
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, None]:
+        if not ctx.needs_input_grad[0]:
+            return None, None
+        g = grads[0].contiguous().numpy()
+        return torch.from_numpy(_scatter(g, *_arrays(ctx.operator), ctx.operator.inputs)), None
+
+
+def _arrays(
+    operator: KernelOperator,
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
+    return operator.starts.numpy(), operator.columns.numpy(), operator.weights.numpy()
+
+
+def aggregate(x: Tensor, operator: KernelOperator) -> Tensor:
+    """Features gathered by every kernel point.
+
+    Args:
+        x: (N, C) float32 input features.
+        operator: influence weights from N inputs to M outputs.
+
+    Returns:
+        (M, K * C) float32, ready for one matrix product with the (K * C, C_out) weights.
+    """
+    if x.device.type == 'cpu':
+        gathered = _Aggregate.apply(x, operator)  # type: ignore[no-untyped-call]
+    else:
+        matrix = torch.sparse_csr_tensor(
+            operator.starts,
+            operator.columns,
+            operator.weights,
+            (operator.outputs * operator.kernel_points, operator.inputs),
+        )
+        gathered = matrix @ x
+    return gathered.view(operator.outputs, -1)  # type: ignore[no-any-return]

@@ -1,0 +1,134 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""A fast point-to-plane alignment on a grid, to bring many rough poses to where they belong."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybridreg_ros.model.ops import compiled
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hybridreg_ros.model.views import Grid, View
+
+    F32 = NDArray[np.float32]
+    F64 = NDArray[np.float64]
+    I32 = NDArray[np.int32]
+
+_DAMPING = 1e-3
+_MIN_HITS = 10.0
+_SMALL = 1e-3
+
+
+@compiled
+def _normal_equations(
+    T: F64, sample: F32, points: F32, normals: F32, grid: I32, low: F64, cell: float, r2: float
+) -> tuple[F64, F64, float]:
+    """6x6 matrix and right side of one step (rotation about the sample's mean first)."""
+    A = np.zeros((6, 6))
+    b = np.zeros(6)
+    row = np.empty(6)
+    hits = 0.0
+    for i in range(sample.shape[0]):
+        u, v, w = sample[i, 0], sample[i, 1], sample[i, 2]
+        x = T[0, 0] * u + T[0, 1] * v + T[0, 2] * w + T[0, 3]
+        y = T[1, 0] * u + T[1, 1] * v + T[1, 2] * w + T[1, 3]
+        z = T[2, 0] * u + T[2, 1] * v + T[2, 2] * w + T[2, 3]
+        p = int(np.floor((x - low[0]) / cell))
+        q = int(np.floor((y - low[1]) / cell))
+        s = int(np.floor((z - low[2]) / cell))
+        if not (0 <= p < grid.shape[0] and 0 <= q < grid.shape[1] and 0 <= s < grid.shape[2]):
+            continue
+        j = grid[p, q, s] - 1
+        if j < 0:
+            continue
+        dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
+        d2 = dx * dx + dy * dy + dz * dz
+        if d2 >= r2:
+            continue
+        weight = (1.0 - d2 / r2) ** 2
+        nx, ny, nz = normals[j, 0], normals[j, 1], normals[j, 2]
+        row[0], row[1], row[2] = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
+        row[3], row[4], row[5] = nx, ny, nz
+        gap = dx * nx + dy * ny + dz * nz
+        hits += weight
+        for k in range(6):
+            b[k] += weight * gap * row[k]
+            for m in range(6):
+                A[k, m] += weight * row[k] * row[m]
+    return A, b, hits
+
+
+@compiled
+def _step(T: F64, xi: F64) -> F64:
+    """A transform (4, 4) followed by a rotation vector and a translation (6,)."""
+    angle = np.sqrt(xi[0] ** 2 + xi[1] ** 2 + xi[2] ** 2)
+    K = np.array([[0.0, -xi[2], xi[1]], [xi[2], 0.0, -xi[0]], [-xi[1], xi[0], 0.0]])
+    a = 1.0 - angle**2 / 6.0
+    b = 0.5 - angle**2 / 24.0
+    if angle > _SMALL:
+        a = np.sin(angle) / angle
+        b = (1.0 - np.cos(angle)) / angle**2
+    R = np.eye(3) + a * K + b * (K @ K)
+    out = np.eye(4)
+    out[:3, :3] = R @ np.ascontiguousarray(T[:3, :3])
+    for k in range(3):
+        out[k, 3] = R[k, 0] * T[0, 3] + R[k, 1] * T[1, 3] + R[k, 2] * T[2, 3] + xi[3 + k]
+    return out
+
+
+@compiled
+def _align(
+    T: F64,
+    sample: F32,
+    points: F32,
+    normals: F32,
+    space: tuple[I32, F64, float],
+    radius: float,
+    rounds: int,
+) -> F64:
+    """Some Gauss-Newton rounds from one pose; `space` is a grid, its corner and its cell."""
+    grid, low, cell = space
+    for _ in range(rounds):
+        A, b, hits = _normal_equations(
+            T, sample, points, normals, grid, low, cell, radius * radius
+        )
+        if hits < _MIN_HITS:
+            break
+        for k in range(6):
+            A[k, k] += _DAMPING * A[k, k] + 1e-6 * hits
+        xi = np.linalg.solve(A, b)
+        T = _step(T, xi)
+        if np.abs(xi[:3]).max() < _SMALL * 0.2 and np.abs(xi[3:]).max() < 10.0 * _SMALL:
+            break
+    return T
+
+
+def polished(T: F64, source: View, target: View, stages: Sequence[tuple[Grid, float, int]]) -> F64:
+    """Each of B poses (B, 4, 4) after an alignment of the source's sample.
+
+    Args:
+        T: poses, voxels.
+        source: its sample is moved.
+        target: its points and normals are fixed.
+        stages: grid of the target, radius beyond which points are ignored, and most rounds.
+    """
+    out = np.ascontiguousarray(T).copy()
+    for b in range(len(out)):
+        for grid, radius, rounds in stages:
+            out[b] = _align(
+                out[b],
+                source.sample,
+                target.points,
+                target.normals,
+                (grid.nearest, grid.low, grid.cell),
+                radius,
+                rounds,
+            )
+    return out

@@ -1,0 +1,282 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""HybridReg: the registration of two clouds as users call it."""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from hybridreg_ros.core.errors import RegistrationError
+from hybridreg_ros.model.checkpoint import load_checkpoint, packaged_weights
+from hybridreg_ros.model.confidence import Calibration, ConfidenceFeatures, features_of
+from hybridreg_ros.model.estimators import judged
+from hybridreg_ros.model.network import Encoding, HybridRegNet
+from hybridreg_ros.model.pyramid import build_pyramid, metric_transform
+from hybridreg_ros.model.refine import Surface, refine
+from hybridreg_ros.model.spread import spread_to_level0, values_of_inputs
+from hybridreg_ros.model.verify import verify_match
+from hybridreg_ros.model.views import View
+from hybridreg_ros.model.voxel_size import choose_voxel_size_m
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from hybridreg_ros.model.config import ModelConfig
+
+_TRUSTED_SIGMA2 = 0.7
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedCloud:
+    """A cloud that is ready to be matched with others; keep it with a keyframe.
+
+    Attributes:
+        encoding: what the network keeps of it.
+        surface: what the refinement keeps of it.
+        size: number of input points, NaN rows included.
+        encode_s: seconds it took.
+    """
+
+    encoding: Encoding
+    surface: Surface
+    size: int
+    encode_s: float
+
+    @property
+    def voxel_size_m(self) -> float:
+        """Metres per finest voxel."""
+        return self.encoding.pyramid.voxel_size_m
+
+    @cached_property
+    def view(self) -> View:
+        """What the verification looks at; made when first needed."""
+        pyramid = self.encoding.pyramid
+        sensor = -pyramid.origin_m / pyramid.voxel_size_m
+        return View.build(self.surface.points, self.surface.normals, sensor)
+
+
+@dataclass(frozen=True, eq=False)
+class Correspondences:
+    """Matched points.
+
+    Attributes:
+        source: (C, 3) float32, source frame, metres.
+        target: (C, 3) float32, target frame, metres.
+        weights: (C,) float32 in [0, 1].
+    """
+
+    source: NDArray[np.float32]
+    target: NDArray[np.float32]
+    weights: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        """Number of correspondences C."""
+        return len(self.weights)
+
+
+@dataclass(frozen=True, eq=False)
+class RegistrationResult:
+    """Outcome of one registration.
+
+    Attributes:
+        T_target_source: (4, 4) float64, metres, refined.
+        confidence: P(T_target_source right), [0, 1].
+        source_uncertainty: (N,) float32 sigma2 in [0, 1] of every input point; 1 = do not trust
+            (moving, deforming, not seen by the other cloud, or NaN in the input).
+        target_uncertainty: (M,) float32.
+        correspondences: point matches of the network.
+        T_lgr: (4, 4) float64, metres, pose of the point matches alone, before verification and
+            refinement.
+        inliers: number of correspondences that agree with the pose before its refinement.
+        voxel_size_m: finest voxel used.
+        features: what the confidence was computed from.
+        timings_s: seconds per stage: encode, network, verify, refine, total.
+    """
+
+    T_target_source: NDArray[np.float64]
+    confidence: float
+    source_uncertainty: NDArray[np.float32]
+    target_uncertainty: NDArray[np.float32]
+    correspondences: Correspondences
+    T_lgr: NDArray[np.float64]
+    inliers: int
+    voxel_size_m: float
+    features: ConfidenceFeatures
+    timings_s: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def T_keyframe_scan(self) -> NDArray[np.float64]:
+        """`T_target_source` by the name that odometry gives it (source = scan)."""
+        return self.T_target_source
+
+    @property
+    def uncertainty(self) -> NDArray[np.float32]:
+        """`source_uncertainty` by the name that odometry gives it."""
+        return self.source_uncertainty
+
+
+class HybridReg:
+    """Registration of two clouds of a scene in which things may move.
+
+    >>> model = HybridReg.from_pretrained()  # doctest: +SKIP
+    >>> model.register(source, target).T_target_source  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        config: ModelConfig,
+        net: HybridRegNet | None = None,
+        calibration: Calibration | None = None,
+    ) -> None:
+        """Wrap a network; without `net` one with random weights is made (tests, training).
+
+        Args:
+            config: sizes; must be that of `net`.
+            net: network, put into evaluation mode.
+            calibration: of the confidence.
+        """
+        self.config = config
+        self.net = (HybridRegNet(config) if net is None else net).eval()
+        self.calibration = calibration or Calibration()
+        self.provenance: Mapping[str, object] = {}
+        self.voxel_size_m: float | None = None
+
+    @classmethod
+    def from_pretrained(cls, path: str | Path | None = None) -> HybridReg:
+        """Load the packaged weights, or those of a file.
+
+        Raises:
+            WeightsError: missing, truncated, foreign or unfit weights, or none packaged yet.
+        """
+        checkpoint = load_checkpoint(packaged_weights() if path is None else path)
+        model = cls(checkpoint.network.config, checkpoint.network, checkpoint.calibration)
+        model.provenance = checkpoint.provenance
+        return model
+
+    def encode(self, points: ArrayLike, voxel_size_m: float | None = None) -> EncodedCloud:
+        """Everything about one cloud that does not need the other.
+
+        Args:
+            points: (N, 3) sensor frame, metres; rows with NaN or inf are ignored.
+            voxel_size_m: finest voxel. None chooses it from the first cloud that this object
+                encodes without one and keeps it (`self.voxel_size_m`), for only clouds of one
+                voxel size can be matched.
+
+        Raises:
+            RegistrationError: too few points, no extent, or coordinates that cannot be metres.
+        """
+        start = time.perf_counter()
+        cloud = _as_cloud(points)
+        if voxel_size_m is None:
+            voxel_size_m = self.voxel_size_m = self.voxel_size_m or choose_voxel_size_m(cloud)
+        pyramid = build_pyramid(cloud, float(voxel_size_m), self.config)
+        with torch.no_grad():
+            encoding = self.net.encode(pyramid)
+        surface = Surface.build(pyramid.levels[0].points.numpy())
+        return EncodedCloud(encoding, surface, len(cloud), time.perf_counter() - start)
+
+    def register(
+        self, source: ArrayLike, target: ArrayLike, voxel_size_m: float | None = None
+    ) -> RegistrationResult:
+        """Register two clouds.
+
+        Args:
+            source: (N, 3) source frame, metres; rows with NaN or inf are allowed.
+            target: (M, 3) target frame, metres.
+            voxel_size_m: finest voxel; None chooses one from both clouds (0.05 m in rooms, 0.3 m
+                in streets).
+
+        Raises:
+            RegistrationError: a cloud has too few points or no extent, or is not in metres.
+        """
+        start = time.perf_counter()
+        clouds = _as_cloud(source), _as_cloud(target)
+        voxel = choose_voxel_size_m(*clouds) if voxel_size_m is None else float(voxel_size_m)
+        with ThreadPoolExecutor(2) as pool:
+            encoded = list(pool.map(lambda c: self.encode(c, voxel), clouds))
+        result = self.match(*encoded)
+        timings = {
+            **result.timings_s,
+            'encode': time.perf_counter() - start - result.timings_s['total'],
+            'total': time.perf_counter() - start,
+        }
+        return _with_timings(result, timings)
+
+    def match(self, source: EncodedCloud, target: EncodedCloud) -> RegistrationResult:
+        """Register two encoded clouds.
+
+        Raises:
+            RegistrationError: they were encoded with different voxel sizes.
+        """
+        start = time.perf_counter()
+        with torch.no_grad():
+            found = self.net.match(source.encoding, target.encoding)
+        middle = time.perf_counter()
+        a, b = source.encoding.pyramid, target.encoding.pyramid
+        level0 = spread_to_level0(a, found.source_sigma2), spread_to_level0(b, found.target_sigma2)
+        estimate, verified = found.estimate, None
+        if self.config.estimator == 'verified':
+            verified = verify_match(
+                found,
+                (a, b),
+                (source.view, target.view),
+            )
+            estimate = judged(
+                verified.V_target_source, found.matches, self.config.acceptance_radius
+            )
+        chosen = time.perf_counter()
+        refined = refine(
+            source.surface,
+            target.surface,
+            estimate.V_target_source,
+            level0[0] < max(_TRUSTED_SIGMA2, float(np.median(level0[0]))),
+        )
+        features = features_of(found, estimate, refined, verified)
+        confidence = self.calibration.probability(features)
+        result = RegistrationResult(
+            metric_transform(refined.V_target_source, a, b),
+            confidence,
+            values_of_inputs(a, level0[0]),
+            values_of_inputs(b, level0[1]),
+            Correspondences(found.source_points, found.target_points, found.weights),
+            found.T_target_source,
+            int(estimate.inliers.sum()),
+            a.voxel_size_m,
+            features,
+        )
+        end = time.perf_counter()
+        timings = {
+            'network': middle - start,
+            'verify': chosen - middle,
+            'refine': end - chosen,
+            'total': end - start,
+        }
+        return _with_timings(result, timings)
+
+
+def _with_timings(result: RegistrationResult, timings: Mapping[str, float]) -> RegistrationResult:
+    return RegistrationResult(**{**vars(result), 'timings_s': timings})
+
+
+def _as_cloud(points: ArrayLike) -> NDArray[np.float32]:
+    """Points as (N, 3) float32.
+
+    Raises:
+        RegistrationError: another shape, or numbers that are not real.
+    """
+    cloud = np.asarray(points)
+    if cloud.ndim != 2 or cloud.shape[1] != 3 or cloud.dtype.kind not in 'fiu':
+        raise RegistrationError(
+            f'points: expected real numbers of shape (N, 3), found {cloud.dtype} {cloud.shape}'
+        )
+    return np.ascontiguousarray(cloud, dtype=np.float32)

@@ -1,0 +1,256 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""What a cloud shows and what it rules out: nearest surface per cell, and free space."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybridreg_ros.model.ops import compiled
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    F32 = NDArray[np.float32]
+    F64 = NDArray[np.float64]
+    I32 = NDArray[np.int32]
+    I64 = NDArray[np.int64]
+
+_CELL_VOXELS = 1.0
+_WIDE_CELL_VOXELS = 2.5
+_HALF_EXTENT_VOXELS = 250.0
+_FACE_BINS = 45
+SAMPLE = 640
+"""Points of a cloud that are tested against the other."""
+
+
+@compiled
+def _nearest_grid(points: F32, low: F64, shape: I64, cell: float) -> I32:
+    """Per cell, 1 + the point nearest to its centre among those in the 27 cells around, or 0."""
+    grid = np.zeros((shape[0], shape[1], shape[2]), np.int32)
+    at = np.empty(3, np.int64)
+    for i in range(points.shape[0]):
+        inside = True
+        for k in range(3):
+            at[k] = int(np.floor((points[i, k] - low[k]) / cell))
+            inside &= 1 <= at[k] < shape[k] - 1
+        if not inside:
+            continue
+        for x in range(at[0] - 1, at[0] + 2):
+            for y in range(at[1] - 1, at[1] + 2):
+                for z in range(at[2] - 1, at[2] + 2):
+                    other = grid[x, y, z] - 1
+                    if other < 0:
+                        grid[x, y, z] = i + 1
+                        continue
+                    cx = low[0] + (x + 0.5) * cell
+                    cy = low[1] + (y + 0.5) * cell
+                    cz = low[2] + (z + 0.5) * cell
+                    new = (
+                        (points[i, 0] - cx) ** 2
+                        + (points[i, 1] - cy) ** 2
+                        + (points[i, 2] - cz) ** 2
+                    )
+                    old = (
+                        (points[other, 0] - cx) ** 2
+                        + (points[other, 1] - cy) ** 2
+                        + (points[other, 2] - cz) ** 2
+                    )
+                    if new < old:
+                        grid[x, y, z] = i + 1
+    return grid
+
+
+@compiled
+def _direction_bin(x: float, y: float, z: float, bins: int) -> tuple[int, int, int]:
+    """Face of a cube around the sensor, and row and column on it."""
+    ax, ay, az = abs(x), abs(y), abs(z)
+    if ax >= ay and ax >= az:
+        face, u, v, w = (0 if x > 0 else 1), y, z, ax
+    elif ay >= az:
+        face, u, v, w = (2 if y > 0 else 3), x, z, ay
+    else:
+        face, u, v, w = (4 if z > 0 else 5), x, y, az
+    w = max(w, 1e-9)
+    row = min(int((u / w + 1.0) * 0.5 * bins), bins - 1)
+    column = min(int((v / w + 1.0) * 0.5 * bins), bins - 1)
+    return face, row, column
+
+
+@compiled
+def _range_image(points: F32, sensor: F64, bins: int) -> tuple[F32, F32]:
+    """Nearest range per direction, and the same with the smallest of its neighbours; inf: none."""
+    image = np.full((6, bins, bins), np.inf, np.float32)
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0] - sensor[0], points[i, 1] - sensor[1], points[i, 2] - sensor[2]
+        face, row, column = _direction_bin(x, y, z, bins)
+        r = np.sqrt(x * x + y * y + z * z)
+        image[face, row, column] = min(image[face, row, column], r)
+    near = image.copy()
+    for f in range(6):
+        for r in range(bins):
+            for c in range(bins):
+                for i in range(max(r - 1, 0), min(r + 2, bins)):
+                    for j in range(max(c - 1, 0), min(c + 2, bins)):
+                        near[f, r, c] = min(near[f, r, c], image[f, i, j])
+    return image, near
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Nearest point of a cloud per cell, for look-ups that need no search.
+
+    Attributes:
+        nearest: (X, Y, Z) int32, 1 + index of the point, 0 where there is none around.
+        low: (3,) float64 corner, voxels.
+        cell: side of a cell, voxels.
+    """
+
+    nearest: I32
+    low: F64
+    cell: float
+
+    @classmethod
+    def build(cls, points: F32, cell: float) -> Grid:
+        """Sort points (N, 3) in; what is far from their median is left out."""
+        centre = np.median(points, axis=0).astype(np.float64)
+        low = np.maximum(points.min(axis=0) - 2.0 * cell, centre - _HALF_EXTENT_VOXELS)
+        high = np.minimum(points.max(axis=0) + 3.0 * cell, centre + _HALF_EXTENT_VOXELS)
+        shape = np.ceil((high - low) / cell).astype(np.int64)
+        return cls(_nearest_grid(points, low, shape, cell), low, cell)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A cloud prepared for judging poses.
+
+    Attributes:
+        points: (N, 3) float32, voxels.
+        normals: (N, 3) float32 unit.
+        sample: (K, 3) float32, the points that are tested against the other cloud.
+        grid: of cells of one voxel.
+        wide: of larger cells.
+        sensor: (3,) float64 position of the sensor, voxels.
+        image: (6, B, B) float32 nearest range per direction, voxels; inf where nothing was seen.
+        near: the same, the smallest of each direction's neighbourhood.
+    """
+
+    points: F32
+    normals: F32
+    sample: F32
+    grid: Grid
+    wide: Grid
+    sensor: F64
+    image: F32
+    near: F32
+
+    @classmethod
+    def build(cls, points: F32, normals: F32, sensor: F64, sample: int = SAMPLE) -> View:
+        """Prepare a cloud.
+
+        Args:
+            points: (N, 3) voxels, N >= 1.
+            normals: (N, 3) unit.
+            sensor: (3,) where the sensor was, voxels.
+            sample: number of points to test, evenly spread over the order of `points`.
+        """
+        rows = np.unique(np.linspace(0, len(points) - 1, sample).astype(np.int64))
+        grids = Grid.build(points, _CELL_VOXELS), Grid.build(points, _WIDE_CELL_VOXELS)
+        image, near = _range_image(points, sensor, _FACE_BINS)
+        return cls(points, normals, points[rows], *grids, sensor, image, near)
+
+    def thinned(self, every: int) -> View:
+        """The same view with one in `every` of its sampled points."""
+        return dataclasses.replace(self, sample=np.ascontiguousarray(self.sample[::every]))
+
+
+@compiled
+def _fit(sample: F32, T: F64, points: F32, grid: I32, low: F64, cell: float, r2: float) -> float:
+    """Mean over the sample of 1 - (distance / radius)^2 to the surface, 0 beyond the radius."""
+    total = 0.0
+    for i in range(sample.shape[0]):
+        x, y, z = _moved(T, sample[i, 0], sample[i, 1], sample[i, 2])
+        a = int(np.floor((x - low[0]) / cell))
+        b = int(np.floor((y - low[1]) / cell))
+        c = int(np.floor((z - low[2]) / cell))
+        if not (0 <= a < grid.shape[0] and 0 <= b < grid.shape[1] and 0 <= c < grid.shape[2]):
+            continue
+        j = grid[a, b, c] - 1
+        if j >= 0:
+            d2 = (points[j, 0] - x) ** 2 + (points[j, 1] - y) ** 2 + (points[j, 2] - z) ** 2
+            total += max(0.0, 1.0 - d2 / r2)
+    mean: float = total / max(sample.shape[0], 1)
+    return mean
+
+
+@compiled
+def _moved(T: F64, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """A point under a transform (4, 4)."""
+    return (
+        T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3],
+        T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3],
+        T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3],
+    )
+
+
+@compiled
+def _intrusion(
+    sample: F32, T: F64, sensor: F64, image: F32, near: F32, margin: float, share: float
+) -> float:
+    """Share of the sample that would stand in space through which the other sensor looked."""
+    count = 0
+    for i in range(sample.shape[0]):
+        x, y, z = _moved(T, sample[i, 0], sample[i, 1], sample[i, 2])
+        x, y, z = x - sensor[0], y - sensor[1], z - sensor[2]
+        face, row, column = _direction_bin(x, y, z, image.shape[1])
+        if np.isinf(image[face, row, column]):
+            continue
+        reach = near[face, row, column]
+        if np.sqrt(x * x + y * y + z * z) < reach - margin - share * reach:
+            count += 1
+    found: float = count / max(sample.shape[0], 1)
+    return found
+
+
+@compiled
+def _inverse(T: F64) -> F64:
+    """Inverse of a rigid transform (4, 4)."""
+    out = np.eye(4)
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = T[j, i]
+            out[i, 3] -= T[j, i] * T[j, 3]
+    return out
+
+
+def fits(T: F64, source: View, target: View, radius: float) -> F64:
+    """How much of both clouds lies on the other under each of B transforms, (B,) in [0, 1]."""
+    out = np.empty(len(T))
+    r2 = radius * radius
+    for b, forward in enumerate(T):
+        back = _inverse(forward)
+        out[b] = 0.5 * (
+            _fit(source.sample, forward, target.points, *vars(target.grid).values(), r2)
+            + _fit(target.sample, back, source.points, *vars(source.grid).values(), r2)
+        )
+    return out
+
+
+def intrusions(T: F64, source: View, target: View, margin: float, share: float) -> F64:
+    """How much of both clouds stands in the other's free space under B transforms, (B,)."""
+    out = np.empty(len(T))
+    for b, forward in enumerate(T):
+        back = _inverse(forward)
+        out[b] = 0.5 * (
+            _intrusion(
+                source.sample, forward, target.sensor, target.image, target.near, margin, share
+            )
+            + _intrusion(
+                target.sample, back, source.sensor, source.image, source.near, margin, share
+            )
+        )
+    return out

@@ -1,0 +1,260 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Numba kernels of robust point-to-plane ICP against a voxel level."""
+
+# ruff: noqa: D417, PLR0913, PLR0917 (kernels take plain arrays, named in `VoxelLevel`)
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from hybridreg_ros.odometry.voxelmap import EMPTY, find_slot, nearest, voxel_key
+
+_jit = numba.njit(cache=True, nogil=True)
+
+NONE, POINT, PLANE = 0, 1, 2
+MIN_PLANE_POINTS = 6
+FLATNESS = 0.15
+"""A neighbourhood is a plane when its variance across is below this share of the next one."""
+BREADTH = 0.02
+"""And not a line: the variance along it is at most 1 / BREADTH times the next one."""
+
+
+@_jit
+def smallest_axis(xx, xy, xz, yy, yz, zz):  # type: ignore[no-untyped-def]
+    """Eigenvalues (ascending) and unit eigenvector of the smallest, of a symmetric 3x3 matrix.
+
+    Returns:
+        (l0, l1, l2, nx, ny, nz); the vector is zero when the matrix is a multiple of the identity.
+    """
+    off = xy * xy + xz * xz + yz * yz
+    mean = (xx + yy + zz) / 3.0
+    a, b, c = xx - mean, yy - mean, zz - mean
+    p = np.sqrt((a * a + b * b + c * c + 2.0 * off) / 6.0)
+    if p < 1e-15:
+        return mean, mean, mean, 0.0, 0.0, 0.0
+    det = a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
+    half = min(1.0, max(-1.0, det / (2.0 * p * p * p)))
+    phi = np.arccos(half) / 3.0
+    l2 = mean + 2.0 * p * np.cos(phi)
+    l0 = mean + 2.0 * p * np.cos(phi + 2.0943951023931953)
+    l1 = 3.0 * mean - l0 - l2
+    best, nx, ny, nz = 0.0, 0.0, 0.0, 0.0
+    r00, r11, r22 = xx - l0, yy - l0, zz - l0
+    # The rows of A - l0 I span the plane across the eigenvector: take their longest product.
+    cx, cy, cz = xy * yz - xz * r11, xz * xy - r00 * yz, r00 * r11 - xy * xy
+    norm = cx * cx + cy * cy + cz * cz
+    if norm > best:
+        best, nx, ny, nz = norm, cx, cy, cz
+    cx, cy, cz = xy * r22 - xz * yz, xz * xz - r00 * r22, r00 * yz - xy * xz
+    norm = cx * cx + cy * cy + cz * cz
+    if norm > best:
+        best, nx, ny, nz = norm, cx, cy, cz
+    cx, cy, cz = r11 * r22 - yz * yz, yz * xz - xy * r22, xy * yz - r11 * xz
+    norm = cx * cx + cy * cy + cz * cz
+    if norm > best:
+        best, nx, ny, nz = norm, cx, cy, cz
+    if best > 0.0:
+        scale = 1.0 / np.sqrt(best)
+        nx, ny, nz = nx * scale, ny * scale, nz * scale
+    return l0, l1, l2, nx, ny, nz
+
+
+@_jit
+def fit_around(x, y, z, grid):  # type: ignore[no-untyped-def]
+    """Plane through the stored points within one voxel edge of a place.
+
+    Returns:
+        Number of points (0 when they are not flat), unit normal, offset of the plane from the
+        place along the normal, variance across it.
+    """
+    size = grid.size
+    reach_sq = size * size
+    centre = voxel_key(x, y, z, 1.0 / size)
+    n = 0
+    sx, sy, sz = 0.0, 0.0, 0.0
+    sxx, sxy, sxz, syy, syz, szz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    if centre == EMPTY:
+        return 0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for di in range(-1, 2):
+        for dj in range(-1, 2):
+            for dk in range(-1, 2):
+                slot = find_slot(grid.table, centre + (di << 42) + (dj << 21) + dk)
+                if grid.table[slot] == EMPTY:
+                    continue
+                voxel = grid.slots[slot]
+                for i in range(grid.counts[voxel]):
+                    dx = grid.store[voxel, i, 0] - x
+                    dy = grid.store[voxel, i, 1] - y
+                    dz = grid.store[voxel, i, 2] - z
+                    if dx * dx + dy * dy + dz * dz > reach_sq:
+                        continue
+                    n += 1
+                    sx, sy, sz = sx + dx, sy + dy, sz + dz
+                    sxx, sxy, sxz = sxx + dx * dx, sxy + dx * dy, sxz + dx * dz
+                    syy, syz, szz = syy + dy * dy, syz + dy * dz, szz + dz * dz
+    if n < MIN_PLANE_POINTS:
+        return 0, 0.0, 0.0, 0.0, 0.0, 0.0
+    mx, my, mz = sx / n, sy / n, sz / n
+    l0, l1, l2, nx, ny, nz = smallest_axis(
+        sxx / n - mx * mx,
+        sxy / n - mx * my,
+        sxz / n - mx * mz,
+        syy / n - my * my,
+        syz / n - my * mz,
+        szz / n - mz * mz,
+    )
+    if l1 <= 0.0 or l0 > FLATNESS * l1 or l1 < BREADTH * l2:
+        return 0, 0.0, 0.0, 0.0, 0.0, 0.0
+    return n, nx, ny, nz, mx * nx + my * ny + mz * nz, max(l0, 0.0)
+
+
+@_jit
+def fit_surface(voxel, i, grid, wider, update):  # type: ignore[no-untyped-def]
+    """Fit the surface of one stored point, on its own level or on a wider one."""
+    x, y, z = grid.store[voxel, i, 0], grid.store[voxel, i, 1], grid.store[voxel, i, 2]
+    n, nx, ny, nz, offset, variance = fit_around(x, y, z, grid)
+    if n == 0:
+        n, nx, ny, nz, offset, variance = fit_around(x, y, z, wider)
+    grid.kind[voxel, i] = PLANE if n > 0 else POINT
+    grid.surface[voxel, i, 0] = nx
+    grid.surface[voxel, i, 1] = ny
+    grid.surface[voxel, i, 2] = nz
+    grid.surface[voxel, i, 3] = offset
+    grid.surface[voxel, i, 4] = variance
+    grid.fitted[voxel, i] = update
+    grid.support[voxel, i] = min(n, 30000)
+
+
+@_jit
+def associate(points, R, t, grid, wider, update, kind, anchor, normal, var):  # type: ignore[no-untyped-def]
+    """Surface of the map nearest to each moved point.
+
+    The nearest stored point within one voxel edge brings its surface along. It is fitted when
+    first needed and again after some updates of the map, so it does not follow the query point:
+    a surface fitted around the query would creep along with it and slow the convergence down.
+
+    Args:
+        points: (N, 3) float64, sensor frame; R, t move them into the map frame.
+        grid: the level.
+        wider: the level that gives surfaces where this one is too fine.
+        update: number of updates of the map so far, > 0.
+        kind: (N,) int8 out, NONE, POINT or PLANE.
+        anchor: (N, 3) float64 out, a point of the surface.
+        normal: (N, 3) float64 out, unit normal (PLANE).
+        var: (N,) float64 out, variance of the map points across the plane, m^2.
+    """
+    for row in range(len(points)):
+        px, py, pz = points[row, 0], points[row, 1], points[row, 2]
+        x = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + t[0]
+        y = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz + t[1]
+        z = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2]
+        kind[row] = NONE
+        voxel, i, _ = nearest(x, y, z, grid)
+        if voxel < 0:
+            continue
+        age = update - grid.fitted[voxel, i]
+        if grid.fitted[voxel, i] == 0 or age > (12 if grid.support[voxel, i] > 20 else 3):
+            fit_surface(voxel, i, grid, wider, update)
+        kind[row] = grid.kind[voxel, i]
+        offset = grid.surface[voxel, i, 3]
+        for axis in range(3):
+            normal[row, axis] = grid.surface[voxel, i, axis]
+            anchor[row, axis] = grid.store[voxel, i, axis] + offset * normal[row, axis]
+        var[row] = grid.surface[voxel, i, 4]
+
+
+@_jit
+def residuals(points, R, t, kind, anchor, normal, out):  # type: ignore[no-untyped-def]
+    """Distance of each moved point to its plane or point, metres, into `out` (N,); inf = none."""
+    for row in range(len(points)):
+        if kind[row] == NONE:
+            out[row] = np.inf
+            continue
+        px, py, pz = points[row, 0], points[row, 1], points[row, 2]
+        dx = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + t[0] - anchor[row, 0]
+        dy = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz + t[1] - anchor[row, 1]
+        dz = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2] - anchor[row, 2]
+        if kind[row] == PLANE:
+            out[row] = abs(dx * normal[row, 0] + dy * normal[row, 1] + dz * normal[row, 2])
+        else:
+            out[row] = np.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@_jit
+def normal_equations(points, weights, R, t, kind, anchor, normal, var, scale, point_var):  # type: ignore[no-untyped-def]
+    """Gauss-Newton system of the robust cost at (R, t).
+
+    The unknowns are a shift (3,) of the position and a turn (3,) about the sensor, both in map
+    axes. Each residual is weighted by its variance and by a Geman-McClure kernel.
+
+    Args:
+        points: (N, 3) float64, sensor frame.
+        weights: (N,) share of trust per point, [0, 1].
+        scale: standard deviation of a good plane residual, metres.
+        point_var: variance of a point-to-point residual, m^2.
+
+    Returns:
+        H (6, 6), b (6,): the step solves H step = -b. And the sums of weight and of weighted
+        squared residual of the plane terms.
+    """
+    H = np.zeros((6, 6))
+    b = np.zeros(6)
+    J = np.zeros(6)
+    total = 0.0
+    cost = 0.0
+    for row in range(len(points)):
+        if kind[row] == NONE or weights[row] <= 0.0:
+            continue
+        px, py, pz = points[row, 0], points[row, 1], points[row, 2]
+        ax = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz
+        ay = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz
+        az = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz
+        dx = ax + t[0] - anchor[row, 0]
+        dy = ay + t[1] - anchor[row, 1]
+        dz = az + t[2] - anchor[row, 2]
+        if kind[row] == PLANE:
+            nx, ny, nz = normal[row, 0], normal[row, 1], normal[row, 2]
+            r = dx * nx + dy * ny + dz * nz
+            variance = scale * scale + var[row]
+            kernel = 9.0 * variance / (9.0 * variance + r * r)
+            w = weights[row] * kernel * kernel
+            total += w
+            cost += w * r * r
+            w /= variance
+            J[0], J[1], J[2] = nx, ny, nz
+            J[3], J[4], J[5] = ay * nz - az * ny, az * nx - ax * nz, ax * ny - ay * nx
+            for i in range(6):
+                b[i] += w * J[i] * r
+                for j in range(i, 6):
+                    H[i, j] += w * J[i] * J[j]
+        else:
+            d = dx * dx + dy * dy + dz * dz
+            kernel = 9.0 * point_var / (9.0 * point_var + d)
+            w = weights[row] * kernel * kernel / point_var
+            # J = [I, -hat(a)]
+            H[0, 0] += w
+            H[1, 1] += w
+            H[2, 2] += w
+            H[0, 4] += w * az
+            H[0, 5] -= w * ay
+            H[1, 3] -= w * az
+            H[1, 5] += w * ax
+            H[2, 3] += w * ay
+            H[2, 4] -= w * ax
+            H[3, 3] += w * (ay * ay + az * az)
+            H[4, 4] += w * (ax * ax + az * az)
+            H[5, 5] += w * (ax * ax + ay * ay)
+            H[3, 4] -= w * ax * ay
+            H[3, 5] -= w * ax * az
+            H[4, 5] -= w * ay * az
+            b[0] += w * dx
+            b[1] += w * dy
+            b[2] += w * dz
+            b[3] += w * (ay * dz - az * dy)
+            b[4] += w * (az * dx - ax * dz)
+            b[5] += w * (ax * dy - ay * dx)
+    for i in range(6):
+        for j in range(i):
+            H[i, j] = H[j, i]
+    return H, b, total, cost

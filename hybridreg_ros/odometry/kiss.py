@@ -1,0 +1,203 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""The only door to kiss-icp, with guards for everything that makes it abort the process."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybridreg_ros.core import se3
+from hybridreg_ros.core.errors import DependencyError, RegistrationError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    F64 = NDArray[np.float64]
+
+_MIN_POINTS = 10
+_LARGEST_COORDINATE_M = 1e6
+_NO_TIMES = np.zeros(0)
+
+
+def _require_kiss_icp() -> None:
+    try:
+        import kiss_icp  # noqa: F401
+    except ImportError:
+        raise DependencyError(
+            'kiss-icp is not installed: pip install "kiss-icp>=1.3,<2"'
+        ) from None
+
+
+def _guarded(points: NDArray[np.floating]) -> F64:
+    """Points that kiss-icp can take: (N, 3) float64, contiguous, finite, not absurdly far."""
+    rows = np.ascontiguousarray(points, np.float64).reshape(-1, 3)
+    with np.errstate(invalid='ignore'):
+        sane = (np.abs(rows) < _LARGEST_COORDINATE_M).all(axis=1)
+    return rows if sane.all() else np.ascontiguousarray(rows[sane])
+
+
+class KissRegistration:
+    """kiss-icp's point-to-point registration and adaptive threshold on a mirror of the local map.
+
+    Args:
+        voxel_size_m: voxel of the map.
+        max_range_m: map points farther from the sensor are dropped by kiss-icp.
+        points_per_voxel: most points kept per voxel.
+        max_iterations: bound on the iterations of one registration, so also on its time.
+        threads: threads of one registration.
+        initial_threshold_m: first correspondence threshold (kiss-icp: 2 m).
+        min_motion_m: deviations below it do not widen the threshold (kiss-icp: 0.1 m).
+
+    Raises:
+        DependencyError: kiss-icp is not installed.
+    """
+
+    def __init__(
+        self,
+        voxel_size_m: float,
+        max_range_m: float,
+        points_per_voxel: int = 20,
+        max_iterations: int = 100,
+        threads: int = 1,
+        initial_threshold_m: float = 2.0,
+        min_motion_m: float = 0.1,
+    ) -> None:
+        _require_kiss_icp()
+        from kiss_icp.mapping import VoxelHashMap
+        from kiss_icp.registration import Registration
+        from kiss_icp.threshold import AdaptiveThreshold
+
+        self._map = VoxelHashMap(voxel_size_m, max_range_m, points_per_voxel)
+        self._registration = Registration(max_iterations, 1e-4, threads)
+        self._threshold = AdaptiveThreshold(
+            SimpleNamespace(
+                adaptive_threshold=SimpleNamespace(
+                    initial_threshold=initial_threshold_m, min_motion_th=min_motion_m
+                ),
+                data=SimpleNamespace(max_range=max_range_m),
+            )
+        )
+
+    @property
+    def threshold_m(self) -> float:
+        """Current standard deviation of the motion model's error, metres."""
+        return float(self._threshold.get_threshold())
+
+    def align(self, points: NDArray[np.floating], guess: F64) -> F64:
+        """Register points with the map.
+
+        Args:
+            points: (N, 3), sensor frame, metres, thinned.
+            guess: (4, 4) T_odom_sensor to start from.
+
+        Returns:
+            T_odom_sensor (4, 4).
+
+        Raises:
+            RegistrationError: too few points, an empty map, a guess that is no rigid transform,
+                or a pose that is not finite came out.
+        """
+        usable = _guarded(points)
+        if len(usable) < _MIN_POINTS or self._map.empty():
+            raise RegistrationError(
+                f'kiss-icp needs a map and {_MIN_POINTS} points, found {len(usable)} points'
+            )
+        if not se3.is_rigid(guess) or np.abs(guess).max() > _LARGEST_COORDINATE_M:
+            raise RegistrationError('kiss-icp: the first guess is not a rigid transform in range')
+        sigma = self.threshold_m
+        if not np.isfinite(sigma) or sigma <= 0.0:
+            raise RegistrationError(f'kiss-icp: adaptive threshold is {sigma}')
+        pose = np.asarray(
+            self._registration.align_points_to_map(usable, self._map, guess, 3.0 * sigma, sigma)
+        )
+        if not se3.is_rigid(pose):
+            raise RegistrationError('kiss-icp: the pose found is not a rigid transform')
+        return se3.orthonormalise(pose)
+
+    def learn(self, guess: F64, pose: F64) -> None:
+        """Tell the adaptive threshold how far a prediction was from the accepted pose."""
+        deviation = se3.orthonormalise(se3.inverse(guess) @ pose)
+        if np.isfinite(deviation).all():
+            self._threshold.update_model_deviation(deviation)
+
+    def update(self, points: NDArray[np.floating], T_odom_sensor: F64) -> None:
+        """Add points (N, 3), sensor frame, at a pose; far map points are forgotten."""
+        usable = _guarded(points)
+        if len(usable):
+            self._map.update(usable, T_odom_sensor)
+
+    def rebuild(self, points: NDArray[np.floating]) -> None:
+        """Start again from the points (N, 3), odom frame, of the local map."""
+        self._map.clear()
+        usable = _guarded(points)
+        if len(usable):
+            self._map.add_points(usable)
+
+
+class PlainKissIcp:
+    """kiss-icp as its authors ship it, with guards; the rival in comparisons, no part of ours.
+
+    Args:
+        voxel_size_m: its voxel size.
+        max_range_m: its range limit.
+        min_range_m: its lower range limit.
+        deskew: undo the motion during a scan when believable times are given.
+        threads: threads of one registration.
+
+    Raises:
+        DependencyError: kiss-icp is not installed.
+    """
+
+    def __init__(
+        self,
+        voxel_size_m: float,
+        max_range_m: float = 100.0,
+        min_range_m: float = 0.0,
+        deskew: bool = True,
+        threads: int = 1,
+    ) -> None:
+        _require_kiss_icp()
+        from kiss_icp.config import KISSConfig
+        from kiss_icp.config.config import (
+            AdaptiveThresholdConfig,
+            DataConfig,
+            MappingConfig,
+            RegistrationConfig,
+        )
+        from kiss_icp.kiss_icp import KissICP
+
+        # Every value is given: kiss-icp would take missing ones from environment variables.
+        self._deskew = deskew
+        self._kiss = KissICP(
+            KISSConfig(
+                data=DataConfig(max_range=max_range_m, min_range=min_range_m, deskew=deskew),
+                mapping=MappingConfig(voxel_size=voxel_size_m, max_points_per_voxel=20),
+                registration=RegistrationConfig(
+                    max_num_iterations=500, convergence_criterion=1e-4, max_num_threads=threads
+                ),
+                adaptive_threshold=AdaptiveThresholdConfig(
+                    fixed_threshold=None, initial_threshold=2.0, min_motion_th=0.1
+                ),
+            )
+        )
+
+    def step(self, points: NDArray[np.floating], times: F64 | None = None) -> F64:
+        """Pose T_odom_sensor (4, 4) after one more scan.
+
+        Args:
+            points: (N, 3), sensor frame, metres.
+            times: (N,) seconds of each point; used only when finite and not all equal.
+        """
+        usable = _guarded(points)
+        stamps = _NO_TIMES
+        if times is not None and self._deskew and len(times) == len(usable):
+            spread = np.isfinite(times).all() and times.max(initial=-np.inf) > times.min(
+                initial=np.inf
+            )
+            stamps = np.ascontiguousarray(times, np.float64) if spread else _NO_TIMES
+        if len(usable) >= _MIN_POINTS:
+            self._kiss.register_frame(usable, stamps)
+        return np.array(self._kiss.last_pose)

@@ -1,0 +1,158 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""LocalMap: the one voxel map that both branches read and write, fed with static points only."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybridreg_ros.odometry import voxelmap
+from hybridreg_ros.odometry.voxelmap import Grid
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_START_VOXELS = 1 << 13
+
+
+class VoxelLevel:
+    """Points hashed into cubes, at most a few per cube, never two nearer than a spacing.
+
+    Attributes:
+        size_m: edge of a cube.
+        used: cubes in use.
+        grid: the arrays, as the kernels take them.
+    """
+
+    def __init__(self, size_m: float, points_per_voxel: int) -> None:
+        self.size_m = size_m
+        self._per_voxel = points_per_voxel
+        self._spacing_sq = size_m**2 / points_per_voxel
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._allocate(_START_VOXELS)
+        self.used = 0
+
+    def _allocate(self, voxels: int) -> None:
+        points = (voxels, self._per_voxel)
+        self.grid = Grid(
+            size=self.size_m,
+            table=np.full(4 * voxels, voxelmap.EMPTY, np.int64),
+            slots=np.zeros(4 * voxels, np.int32),
+            keys=np.zeros(voxels, np.int64),
+            counts=np.zeros(voxels, np.int32),
+            store=np.zeros((*points, 3), np.float32),
+            surface=np.zeros((*points, 5), np.float32),
+            kind=np.zeros(points, np.int8),
+            fitted=np.zeros(points, np.int32),
+            support=np.zeros(points, np.int16),
+        )
+
+    def add(self, points: NDArray[np.floating]) -> None:
+        """Add points (N, 3), map frame, metres."""
+        row = 0
+        while row < len(points):
+            self.used, done = voxelmap.insert(points[row:], self._spacing_sq, self.grid, self.used)
+            row += done
+            if row < len(points):
+                self._grow()
+
+    def keep_near(self, centre: NDArray[np.float64], reach_m: float) -> None:
+        """Drop cubes farther from the centre (3,) than the reach, and empty ones."""
+        self.used = voxelmap.keep_near(centre, reach_m**2, self.grid, self.used)
+
+    def erase_near(self, points: NDArray[np.floating], reach_m: float) -> int:
+        """Remove stored points that share a cube with a point (N, 3) and lie within the reach."""
+        removed: int = voxelmap.erase_near(points, reach_m**2, self.grid)
+        return removed
+
+    def distance(self, points: NDArray[np.floating], T: NDArray[np.float64]) -> float:
+        """Mean distance, metres, of points (N, 3) moved by T to the map, cut off at one cube."""
+        mean: float = voxelmap.mean_distance(points, T[:3, :3].copy(), T[:3, 3].copy(), self.grid)
+        return mean
+
+    def points(self) -> NDArray[np.float32]:
+        """All stored points (N, 3), map frame, metres."""
+        stored: NDArray[np.float32] = voxelmap.gather(self.grid.counts, self.grid.store, self.used)
+        return stored
+
+    def _grow(self) -> None:
+        """Twice as many cubes."""
+        old, count = self.grid, len(self.grid.counts)
+        self._allocate(2 * count)
+        for name in ('keys', 'counts', 'store', 'surface', 'kind', 'fitted', 'support'):
+            getattr(self.grid, name)[:count] = getattr(old, name)
+        self.used = voxelmap.keep_near(np.zeros(3), np.inf, self.grid, self.used)
+
+
+class LocalMap:
+    """Static surroundings of the sensor at three resolutions, in the odom frame.
+
+    The coarse level widens the basin of the registration; the fine one gives the accuracy; the
+    middle one has surfaces where the rings of a lidar are too far apart for the fine one. The map
+    forgets what lies farther from the sensor than its reach, so its memory is bounded.
+
+    Args:
+        voxel_size_m: edge of a fine cube.
+        reach_m: farther points are forgotten.
+        points_per_voxel: most points kept per cube.
+        coarse_factor: edge of a coarse cube in fine ones.
+    """
+
+    def __init__(
+        self, voxel_size_m: float, reach_m: float, points_per_voxel: int, coarse_factor: float
+    ) -> None:
+        self.fine = VoxelLevel(voxel_size_m, points_per_voxel)
+        self.middle = VoxelLevel(voxel_size_m * coarse_factor**0.5, points_per_voxel)
+        self.coarse = VoxelLevel(voxel_size_m * coarse_factor, points_per_voxel)
+        self._reach_m = reach_m
+        self._pruned_at = np.full(3, np.inf)
+        self.version = 0
+        self.updates = 0
+
+    @property
+    def levels(self) -> tuple[VoxelLevel, VoxelLevel, VoxelLevel]:
+        """Coarse, middle and fine level."""
+        return self.coarse, self.middle, self.fine
+
+    def __len__(self) -> int:
+        """Cubes of the fine level in use."""
+        return self.fine.used
+
+    def update(self, points: NDArray[np.floating], position: NDArray[np.float64]) -> None:
+        """Add static points and forget what is out of reach.
+
+        Args:
+            points: (N, 3) odom frame, metres.
+            position: (3,) of the sensor, odom frame, metres.
+        """
+        self.updates += 1
+        for level in self.levels:
+            level.add(points)
+        if not np.linalg.norm(position - self._pruned_at) < 0.1 * self._reach_m:
+            for level in self.levels:
+                level.keep_near(position, self._reach_m)
+            self._pruned_at = position.copy()
+
+    def erase(self, points: NDArray[np.floating]) -> int:
+        """Take points out again that turned out to move; returns how many went.
+
+        Args:
+            points: (N, 3) odom frame, metres.
+        """
+        removed = 0
+        for level in self.levels:
+            removed += level.erase_near(points, 0.5 * level.size_m)
+        self.version += removed > 0
+        return removed
+
+    def clear(self) -> None:
+        """Forget everything."""
+        for level in self.levels:
+            level.clear()
+        self._pruned_at = np.full(3, np.inf)
+        self.version += 1

@@ -1,0 +1,207 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Preprocessing: what the sensor is, range limits, deskew by constant velocity, thinning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+
+from hybridreg_ros.odometry.voxelmap import first_per_voxel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hybridreg_ros.core.scan import Scan
+    from hybridreg_ros.odometry.config import OdometryConfig, PreprocessConfig
+
+_VOXEL_PER_RANGE = {'depth': 0.022, 'lidar': 0.035}
+_LONGEST_SCAN_S = 1.0
+_DEFAULT_RANGES_M = {'depth': (0.2, 8.0), 'lidar': (0.5, 100.0)}
+
+
+@dataclass(frozen=True)
+class SensorModel:
+    """What the front end knows about the sensor, decided on the first usable scan.
+
+    Attributes:
+        kind: 'depth' (looks one way) or 'lidar' (looks around).
+        voxel_size_m: edge of a map voxel.
+        min_range_m: nearer points are ignored.
+        max_range_m: farther points are ignored.
+    """
+
+    kind: str
+    voxel_size_m: float
+    min_range_m: float
+    max_range_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """A preprocessed scan.
+
+    Attributes:
+        points: (N, 3) float32, all points of the scan, deskewed, sensor frame, metres.
+        usable: (N,) bool, inside the range limits.
+        map_rows: (M,) rows of `points` thinned for the map.
+        icp_rows: (K,) rows of `points` thinned for registration, K <= icp_points.
+        deskewed: True when `points` differ from the scan's.
+    """
+
+    points: NDArray[np.float32]
+    usable: NDArray[np.bool_]
+    map_rows: NDArray[np.int64]
+    icp_rows: NDArray[np.int64]
+    deskewed: bool
+
+    @property
+    def map_points(self) -> NDArray[np.float32]:
+        """(M, 3) points that go into the map."""
+        return self.points[self.map_rows]
+
+    def spread(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Values (K,) of the registered points given to the nearest of them of every point (N,).
+
+        Points outside the range limits get 0.
+        """
+        from scipy.spatial import cKDTree
+
+        out = np.zeros(len(self.points), np.float32)
+        rows = np.flatnonzero(self.usable)
+        _, nearest = cKDTree(self.icp_points).query(self.points[rows])
+        out[rows] = values[nearest]
+        return out
+
+    @property
+    def icp_points(self) -> NDArray[np.float32]:
+        """(K, 3) points that are registered."""
+        return self.points[self.icp_rows]
+
+
+def recognise_sensor(points: NDArray[np.float32], config: OdometryConfig) -> SensorModel:
+    """Decide what the config leaves open from one scan.
+
+    A sensor is a depth camera when all its points lie within 75 degrees of their mean direction.
+
+    Args:
+        points: (N, 3) float32, sensor frame, metres, N > 0.
+        config: settings; 0 and 'auto' are decided here.
+    """
+    some = points[:: max(1, len(points) // 20_000)].astype(np.float64)
+    ranges = np.linalg.norm(some, axis=1)
+    # A return at 1e9 m or at the sensor's own housing must not decide anything.
+    sane = (ranges > 0.05) & (ranges < 1000.0)
+    directions = some[sane] / ranges[sane, None]
+    kind = config.sensor
+    if kind == 'auto':
+        mean = directions.mean(axis=0) if len(directions) else np.zeros(3)
+        length = float(np.linalg.norm(mean))
+        inside = (
+            directions @ (mean / length) > np.cos(np.deg2rad(75.0)) if length > 0.2 else [False]
+        )
+        kind = 'depth' if np.mean(inside) > 0.995 else 'lidar'
+    low, high = _DEFAULT_RANGES_M[kind]
+    low = config.preprocess.min_range_m or low
+    high = config.preprocess.max_range_m or high
+    inside_limits = ranges[(ranges > low) & (ranges < high)]
+    median = float(np.median(inside_limits)) if len(inside_limits) else 0.1 * high
+    voxel = config.voxel_size_m or round(
+        float(np.clip(_VOXEL_PER_RANGE[kind] * median, 0.02, 1.0)), 3
+    )
+    return SensorModel(kind, voxel, low, high)
+
+
+def preprocess(
+    scan: Scan, sensor: SensorModel, config: PreprocessConfig, twist: NDArray[np.float64]
+) -> Cloud:
+    """Limit ranges, undo the motion during the scan, thin.
+
+    Args:
+        scan: the scan.
+        sensor: limits and voxel size.
+        config: settings.
+        twist: (6,) linear (m/s) and angular (rad/s) velocity, sensor frame, for the deskew.
+    """
+    points, deskewed = deskew(scan, config, twist)
+    usable = _in_range(points, sensor.min_range_m**2, sensor.max_range_m**2)
+    rows = np.flatnonzero(usable)
+    if len(rows) > config.max_points:
+        rows = rows[:: -(-len(rows) // config.max_points)]
+    map_rows = rows[first_per_voxel(points[rows], config.map_thinning * sensor.voxel_size_m)]
+    icp_rows = map_rows[
+        first_per_voxel(points[map_rows], config.icp_thinning * sensor.voxel_size_m)
+    ]
+    if len(icp_rows) > config.icp_points:
+        icp_rows = icp_rows[:: -(-len(icp_rows) // config.icp_points)]
+    return Cloud(points, usable, map_rows, icp_rows, deskewed)
+
+
+def deskew(
+    scan: Scan, config: PreprocessConfig, twist: NDArray[np.float64]
+) -> tuple[NDArray[np.float32], bool]:
+    """Points as seen from where the sensor was at one instant, if it moved evenly.
+
+    The instant is the scan's stamp, or its first or last point (`deskew_to`). Times that are not
+    finite, all equal, or spread over more than a second are not believed: nothing is moved.
+
+    Returns:
+        Points (N, 3) float32 and whether they were moved.
+    """
+    if not config.deskew or scan.times is None or not believable(scan.times):
+        return scan.points, False
+    offset = {'stamp': 0.0, 'start': scan.times.min(), 'end': scan.times.max()}[config.deskew_to]
+    if not np.any(twist):
+        return scan.points, True
+    moved = _deskew(scan.points, scan.times - offset, twist[:3].copy(), twist[3:].copy())
+    return moved, True
+
+
+def believable(times: NDArray[np.float64]) -> bool:
+    """Whether per-point times (seconds) can be those of one scan."""
+    if len(times) == 0 or not np.isfinite(times).all():
+        return False
+    span = float(times.max() - times.min())
+    return 0.0 < span <= _LONGEST_SCAN_S and float(np.abs(times).max()) <= 2.0 * _LONGEST_SCAN_S
+
+
+@numba.njit(cache=True, nogil=True)
+def _in_range(points, low_sq, high_sq):  # type: ignore[no-untyped-def]
+    inside = np.empty(len(points), np.bool_)
+    for row in range(len(points)):
+        x = float(points[row, 0])
+        y = float(points[row, 1])
+        z = float(points[row, 2])
+        r = x * x + y * y + z * z
+        inside[row] = low_sq <= r <= high_sq
+    return inside
+
+
+@numba.njit(cache=True, nogil=True)
+def _deskew(points, times, v, w):  # type: ignore[no-untyped-def]
+    """Each point moved by exp(twist * its time): Rodrigues' formula with one axis for all."""
+    moved = np.empty_like(points)
+    rate = np.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+    kx, ky, kz = 0.0, 0.0, 0.0
+    if rate > 1e-9:
+        kx, ky, kz = w[0] / rate, w[1] / rate, w[2] / rate
+    # k x v and k x (k x v) give the curved part of the path.
+    ax, ay, az = ky * v[2] - kz * v[1], kz * v[0] - kx * v[2], kx * v[1] - ky * v[0]
+    bx, by, bz = ky * az - kz * ay, kz * ax - kx * az, kx * ay - ky * ax
+    for row in range(len(points)):
+        s = times[row]
+        angle = rate * s
+        sin, cos = np.sin(angle), np.cos(angle)
+        f1, f2 = 0.5 * s * angle, s * angle * angle / 6.0
+        if abs(angle) > 1e-5:
+            f1, f2 = (1.0 - cos) / rate, s - sin / rate
+        x, y, z = points[row, 0], points[row, 1], points[row, 2]
+        cx, cy, cz = ky * z - kz * y, kz * x - kx * z, kx * y - ky * x
+        dx, dy, dz = ky * cz - kz * cy, kz * cx - kx * cz, kx * cy - ky * cx
+        moved[row, 0] = x + sin * cx + (1.0 - cos) * dx + s * v[0] + f1 * ax + f2 * bx
+        moved[row, 1] = y + sin * cy + (1.0 - cos) * dy + s * v[1] + f1 * ay + f2 * by
+        moved[row, 2] = z + sin * cz + (1.0 - cos) * dz + s * v[2] + f1 * az + f2 * bz
+    return moved

@@ -1,0 +1,246 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Range images: what a scan saw in each direction, and where other points stand against it."""
+
+# ruff: noqa: PLR0913, PLR0917 (kernels take plain arrays, named in `VoxelLevel`)
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+
+from hybridreg_ros.core import se3
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+UNSEEN, FRONT, ON, BEHIND = 0, 1, 2, 3
+"""Where a point stands: direction not seen, in seen free space, on a surface, hidden by one."""
+
+_MOST_POINTS = 150_000
+_POINTS_PER_PIXEL = 4
+_FINEST_RAD = np.deg2rad(0.4)
+_COARSEST_RAD = np.deg2rad(4.0)
+_FULL_TURN = 2.0 * np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """How directions of one sensor map to pixels: azimuth and elevation about a main axis.
+
+    Attributes:
+        basis: (3, 3) rows forward, left, up of the view in the sensor frame.
+        azimuth_rad: left-most azimuth, rad; pixels count to the other side.
+        elevation_rad: lowest elevation, rad.
+        step_rad: (2,) width and height of a pixel, rad.
+        width: pixels per row.
+        height: rows.
+        wraps: whether the row closes on itself (full turn).
+    """
+
+    basis: NDArray[np.float64]
+    azimuth_rad: float
+    elevation_rad: float
+    step_rad: NDArray[np.float64]
+    width: int
+    height: int
+    wraps: bool
+
+
+def view_of(points: NDArray[np.floating], kind: str) -> View:
+    """Choose a view from one scan: pixels as fine as leaves most of them filled.
+
+    Args:
+        points: (N, 3), sensor frame, metres, N > 0.
+        kind: 'depth' (main axis = mean direction) or 'lidar' (main axis x, z up).
+    """
+    some = np.asarray(points[:: max(1, len(points) // _MOST_POINTS)], np.float64)
+    basis = np.eye(3)
+    if kind == 'depth':
+        forward = (some / np.linalg.norm(some, axis=1, keepdims=True)).mean(axis=0)
+        forward /= np.linalg.norm(forward)
+        side = np.cross(np.eye(3)[np.argmin(np.abs(forward))], forward)
+        side /= np.linalg.norm(side)
+        basis = np.stack([forward, side, np.cross(forward, side)])
+    rotated = some @ basis.T
+    azimuth = np.arctan2(rotated[:, 1], rotated[:, 0])
+    elevation = np.arctan2(rotated[:, 2], np.hypot(rotated[:, 0], rotated[:, 1]))
+    wraps = kind == 'lidar'
+    az_low, az_high = (-np.pi, np.pi) if wraps else (azimuth.min(), azimuth.max())
+    el_low, el_high = np.percentile(elevation, [0.5, 99.5])
+    step = _pixel(azimuth, elevation)
+    margin = 2.0 * step
+    if not wraps:
+        az_low, az_high = az_low - margin[0], az_high + margin[0]
+    el_low, el_high = el_low - margin[1], el_high + margin[1]
+    width = max(3, round((az_high - az_low) / step[0]))
+    step[0] = (az_high - az_low) / width
+    height = max(3, int(np.ceil((el_high - el_low) / step[1])))
+    return View(basis, float(az_low), float(el_low), step, width, height, wraps)
+
+
+def _pixel(azimuth: NDArray[np.float64], elevation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Pixel size (2,), rad: grown, the emptier side first, until seen columns have few holes."""
+    step = np.array([_FINEST_RAD, _FINEST_RAD])
+    while step.max() < _COARSEST_RAD:
+        column = np.floor(azimuth / step[0]).astype(np.int64)
+        row = np.floor(elevation / step[1]).astype(np.int64)
+        filled = len(np.unique(column * 100_003 + row))
+        columns = np.unique(column)
+        span = np.percentile(elevation, 97.5) - np.percentile(elevation, 2.5)
+        if filled >= 0.75 * len(columns) * max(1.0, span / step[1]):
+            break
+        step[1 if step[1] <= 2.0 * step[0] else 0] *= 1.25
+    return step
+
+
+class RangeImage:
+    """Nearest and farthest range per direction of one scan, and the pose it was taken from.
+
+    Args:
+        points: (N, 3), sensor frame, metres.
+        view: how directions map to pixels.
+        T_odom_sensor: (4, 4) pose of the scan.
+    """
+
+    def __init__(
+        self, points: NDArray[np.floating], view: View, T_odom_sensor: NDArray[np.float64]
+    ) -> None:
+        self.view = view
+        self.T_odom_sensor = T_odom_sensor
+        step = max(1, len(points) // (_POINTS_PER_PIXEL * view.width * view.height))
+        near = np.full((view.height, view.width), np.inf, np.float32)
+        far = np.zeros((view.height, view.width), np.float32)
+        _draw(points[::step], *_geometry(view), near, far)
+        # A point counts as off a surface only when it is off in the 3x3 pixels around it, so that
+        # slanted surfaces and edges do not look like things that moved.
+        self._near, self._far = _widen(near, far, view.wraps)
+
+    def stand(
+        self,
+        points: NDArray[np.floating],
+        T_odom_sensor: NDArray[np.float64],
+        tolerance_m: float,
+        tolerance_share: float,
+        shift: NDArray[np.float32] | None = None,
+    ) -> NDArray[np.int8]:
+        """Where points of another scan stand against this one.
+
+        Args:
+            points: (N, 3), the other scan's sensor frame, metres.
+            T_odom_sensor: (4, 4) pose of the other scan.
+            tolerance_m: slack in range, metres.
+            tolerance_share: further slack as a share of the range.
+            shift: (N,) float32 out: range of the point minus that of the surface (negative in
+                front of it), 0 where unseen or on it.
+
+        Returns:
+            (N,) int8 of UNSEEN, FRONT, ON, BEHIND.
+        """
+        T = se3.inverse(self.T_odom_sensor) @ T_odom_sensor
+        out = np.zeros(len(points), np.int8)
+        gap = np.zeros(len(points), np.float32) if shift is None else shift
+        _stand(
+            points, T[:3, :3].copy(), T[:3, 3].copy(), *_geometry(self.view),
+            self._near, self._far, tolerance_m, tolerance_share, out, gap,
+        )  # fmt: skip
+        return out
+
+
+def _geometry(
+    view: View,
+) -> tuple[NDArray[np.float64], float, float, NDArray[np.float64], bool]:
+    return view.basis, view.azimuth_rad, view.elevation_rad, view.step_rad, view.wraps
+
+
+_jit = numba.njit(cache=True, nogil=True)
+
+
+@_jit
+def _pixel_of(x, y, z, basis, azimuth, elevation, step):  # type: ignore[no-untyped-def]
+    """Range, column and row of a direction; they may lie outside the image."""
+    f = basis[0, 0] * x + basis[0, 1] * y + basis[0, 2] * z
+    s = basis[1, 0] * x + basis[1, 1] * y + basis[1, 2] * z
+    u = basis[2, 0] * x + basis[2, 1] * y + basis[2, 2] * z
+    flat = np.sqrt(f * f + s * s)
+    column = int(np.floor((np.arctan2(s, f) - azimuth) / step[0]))
+    row = int(np.floor((np.arctan2(u, flat) - elevation) / step[1]))
+    return np.sqrt(flat * flat + u * u), column, row
+
+
+@_jit
+def _draw(points, basis, azimuth, elevation, step, wraps, near, far):  # type: ignore[no-untyped-def]
+    height, width = near.shape
+    for i in range(len(points)):
+        r, column, row = _pixel_of(
+            points[i, 0], points[i, 1], points[i, 2], basis, azimuth, elevation, step
+        )
+        if wraps:
+            column %= width
+        if column < 0 or row < 0 or column >= width or row >= height:
+            continue
+        near[row, column] = min(near[row, column], r)
+        far[row, column] = max(far[row, column], r)
+
+
+@_jit
+def _widen(near, far, wraps):  # type: ignore[no-untyped-def]
+    """Nearest and farthest range within one pixel around each pixel."""
+    height, width = near.shape
+    low = np.full_like(near, np.inf)
+    high = np.zeros_like(far)
+    for v in range(height):
+        for u in range(width):
+            if far[v, u] == 0.0:
+                continue
+            for dv in range(-1, 2):
+                for du in range(-1, 2):
+                    row, column = v + dv, u + du
+                    if wraps:
+                        column %= width
+                    if row < 0 or column < 0 or row >= height or column >= width:
+                        continue
+                    low[row, column] = min(low[row, column], near[v, u])
+                    high[row, column] = max(high[row, column], far[v, u])
+    return low, high
+
+
+@_jit
+def _stand(  # type: ignore[no-untyped-def]
+    points, R, t, basis, azimuth, elevation, step, wraps, near, far, slack, share, out, gap
+):
+    height, width = near.shape
+    B = basis @ R
+    o = basis @ t
+    for i in range(len(points)):
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        f = B[0, 0] * px + B[0, 1] * py + B[0, 2] * pz + o[0]
+        s = B[1, 0] * px + B[1, 1] * py + B[1, 2] * pz + o[1]
+        u = B[2, 0] * px + B[2, 1] * py + B[2, 2] * pz + o[2]
+        out[i] = UNSEEN
+        gap[i] = 0.0
+        flat = np.sqrt(f * f + s * s)
+        row = int(np.floor((np.arctan2(u, flat) - elevation) / step[1]))
+        if row < 0 or row >= height:
+            continue
+        column = int(np.floor((np.arctan2(s, f) - azimuth) / step[0]))
+        if wraps:
+            column %= width
+        if column < 0 or column >= width:
+            continue
+        high = far[row, column]
+        if high == 0.0:
+            continue
+        low = near[row, column]
+        r = np.sqrt(flat * flat + u * u)
+        tolerance = slack + share * r
+        if r < low - tolerance:
+            out[i] = FRONT
+            gap[i] = r - low
+        elif r > high + tolerance:
+            out[i] = BEHIND
+            gap[i] = r - high
+        else:
+            out[i] = ON

@@ -1,0 +1,262 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Tracker: from a preprocessed cloud to a pose, through network, fallback, coasting or loss."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from hybridreg_ros.core import se3
+from hybridreg_ros.odometry import covariance
+from hybridreg_ros.odometry.dynamics import Dynamics
+from hybridreg_ros.odometry.keyframes import Keyframes
+from hybridreg_ros.odometry.learned import LearnedBranch
+from hybridreg_ros.odometry.localmap import LocalMap
+from hybridreg_ros.odometry.locator import Located, Locator
+from hybridreg_ros.odometry.result import Reason, Source
+from hybridreg_ros.odometry.visibility import Sightings
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hybridreg_ros.odometry.config import OdometryConfig
+    from hybridreg_ros.odometry.motion import Motion
+    from hybridreg_ros.odometry.preprocess import Cloud, SensorModel
+    from hybridreg_ros.odometry.rangeimage import RangeImage
+    from hybridreg_ros.odometry.registrar import Registrar
+
+    F64 = NDArray[np.float64]
+
+_log = logging.getLogger(__name__)
+
+_STATIC_BELOW = 0.3
+"""Only points of a lower P(dynamic) enter the map."""
+
+
+class Watch(Protocol):
+    """Books the time of a stage."""
+
+    def lap(self, stage: str) -> None:
+        """Book the time since the last lap under a stage."""
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What the tracker says about one cloud; fields as in OdometryResult."""
+
+    pose: F64
+    covariance: F64
+    source: Source
+    reason: Reason
+    confidence: float
+    dynamic_probability: NDArray[np.float32]
+    keyframe_id: int
+    is_keyframe: bool
+
+
+class Tracker:
+    """Map, keyframes and pose chain of one odom frame.
+
+    Args:
+        config: settings.
+        sensor: what the sensor is.
+        registrar: the network, or None.
+        motion: the pose chain, advanced here.
+
+    Attributes:
+        sensor: what the sensor is.
+        lost: whether the last pose must not be used.
+        source: branch of the last pose.
+        covariance: (6, 6) of the last pose.
+    """
+
+    def __init__(
+        self,
+        config: OdometryConfig,
+        sensor: SensorModel,
+        registrar: Registrar | None,
+        motion: Motion,
+    ) -> None:
+        self.sensor = sensor
+        self.lost = False
+        self.source = Source.KISS_ICP if registrar is None else Source.HYBRIDREG
+        self.covariance = covariance.first()
+        self._config = config
+        self._motion = motion
+        self._map = LocalMap(
+            sensor.voxel_size_m,
+            config.map.reach_m or sensor.max_range_m,
+            config.map.points_per_voxel,
+            config.map.coarse_factor,
+        )
+        self._learned = None if registrar is None else LearnedBranch(registrar)
+        self._keyframes = Keyframes(config.keyframe, sensor.voxel_size_m)
+        self._sightings = Sightings(config.dynamics, sensor)
+        self._dynamics = Dynamics(config.dynamics, sensor)
+        self._locator = Locator(
+            config, sensor, self._map, self._learned, self._keyframes, self._sightings
+        )
+        self._bad_frames = 0
+        self._lost_scans = 0
+
+    def step(self, cloud: Cloud, stamp: int, watch: Watch) -> Estimate:
+        """Locate a cloud, update the pose chain, the map and the keyframes.
+
+        Args:
+            cloud: the preprocessed scan.
+            stamp: its stamp, ns.
+            watch: books the time per stage.
+        """
+        if len(cloud.icp_rows) < self._config.input.min_points:
+            return self._bad(cloud, stamp, Reason.TOO_FEW_POINTS)
+        encoding = None if self._learned is None else self._learned.encode(cloud.icp_points)
+        watch.lap('encode')
+        if len(self._map) == 0:
+            return self._begin(cloud, stamp, encoding, Reason.FIRST_SCAN)
+        predicted = self._motion.predict(stamp)
+        trust = self._dynamics.trust(cloud.icp_points, predicted)
+        if self.lost:
+            found = self._locator.relocate(cloud, self._motion.pose, encoding)
+        else:
+            dt = self._motion.seconds_to(stamp)
+            found = self._locator.locate(
+                cloud, predicted, self._motion.pose, dt, encoding, trust, watch
+            )
+        watch.lap('refine')
+        if isinstance(found, Located):
+            return self._accept(cloud, stamp, predicted, encoding, found, watch)
+        if self.lost and self._give_up():
+            return self._begin(cloud, stamp, encoding, Reason.RECOVERED)
+        return self._bad(cloud, stamp, found)
+
+    def _accept(
+        self,
+        cloud: Cloud,
+        stamp: int,
+        predicted: F64,
+        encoding: Any,
+        found: Located,
+        watch: Watch,
+    ) -> Estimate:
+        """Write a good pose to the chain, the map and, when due, the keyframes."""
+        pose, was_lost = found.fit.T_odom_sensor, self.lost
+        if was_lost:
+            self._motion.stop(stamp)
+            self._motion.hold(pose, stamp)
+        else:
+            self._locator.learn(predicted, pose)
+            self._motion.advance(pose, stamp)
+        self.lost, self._bad_frames, self._lost_scans = False, 0, 0
+        self.source = found.source
+        section = self._config.covariance
+        factor = section.scale
+        if found.source is Source.KISS_ICP:
+            factor *= section.fallback_factor
+        self.covariance = covariance.of_pose(found.fit.information, factor)
+        image = self._sightings.draw(cloud, pose)
+        dynamic = self._find_dynamic(cloud, pose, found.uncertainty)
+        watch.lap('dynamics')
+        is_keyframe = self._keyframes.wanted(pose, stamp, found.evidence.seen)
+        if is_keyframe:
+            self._keyframes.add(pose, stamp, cloud.icp_points, encoding)
+        self._write(cloud, pose, stamp, image, dynamic, is_keyframe)
+        watch.lap('map')
+        reason = Reason.RECOVERED if was_lost else found.reason
+        return self._estimate(pose, reason, found.confidence, dynamic, is_keyframe)
+
+    def _begin(self, cloud: Cloud, stamp: int, encoding: Any, reason: Reason) -> Estimate:
+        """Start a map at the last pose: the first scan, or a new start after a loss.
+
+        After a loss the way between the old map and the new one is not known: the pose of that
+        one step carries the covariance of LOST and the confidence 0.
+        """
+        self._motion.stop(stamp)
+        pose = self._motion.pose
+        self.lost, self._bad_frames, self._lost_scans = False, 0, 0
+        self.source = Source.KISS_ICP if self._learned is None else Source.HYBRIDREG
+        first = reason is Reason.FIRST_SCAN
+        self.covariance = covariance.first() if first else covariance.lost()
+        dynamic = np.zeros(len(cloud.points), np.float32)
+        image = self._sightings.draw(cloud, pose)
+        self._keyframes.add(pose, stamp, cloud.icp_points, encoding)
+        self._write(cloud, pose, stamp, image, dynamic, is_keyframe=True)
+        return self._estimate(pose, reason, 1.0 if first else 0.0, dynamic, is_keyframe=True)
+
+    def _bad(self, cloud: Cloud, stamp: int, reason: Reason) -> Estimate:
+        """No pose from this cloud: coast for a few frames, then say LOST and stand still."""
+        self._bad_frames += 1
+        self.lost = self.lost or self._bad_frames >= self._config.lost.after_bad_frames
+        dynamic = np.zeros(len(cloud.points), np.float32)
+        if self.lost:
+            self._motion.stop(stamp)
+            self.source, self.covariance = Source.LOST, covariance.lost()
+        else:
+            self._motion.hold(self._motion.predict(stamp), stamp)
+            self.covariance = covariance.coasting(
+                self.covariance, self._config.covariance.coast_factor, self.sensor.voxel_size_m
+            )
+        return self._estimate(self._motion.pose, reason, 0.0, dynamic, is_keyframe=False)
+
+    def _give_up(self) -> bool:
+        """Whether the old map is given up; then it is forgotten, with all that belongs to it."""
+        self._lost_scans += 1
+        if self._lost_scans <= self._config.lost.reanchor_after:
+            return False
+        _log.warning('lost for %d scans: starting a new map at the last pose', self._lost_scans)
+        self._map.clear()
+        self._keyframes.clear()
+        self._dynamics.clear()
+        return True
+
+    def _find_dynamic(
+        self, cloud: Cloud, pose: F64, uncertainty: NDArray[np.float32] | None
+    ) -> NDArray[np.float32]:
+        if not self._config.dynamics.enabled:
+            return np.zeros(len(cloud.points), np.float32)
+        return self._dynamics.update(cloud, pose, self._map, uncertainty)
+
+    def _write(
+        self,
+        cloud: Cloud,
+        pose: F64,
+        stamp: int,
+        image: RangeImage,
+        dynamic: NDArray[np.float32],
+        is_keyframe: bool,
+    ) -> None:
+        """Add the static points to the map; take out those that turned out to have moved."""
+        static = cloud.map_rows[dynamic[cloud.map_rows] < _STATIC_BELOW]
+        if self._config.dynamics.enabled:
+            gone = self._dynamics.vanished(image)
+            if len(gone):
+                self._map.erase(gone)
+            rows = cloud.icp_rows[dynamic[cloud.icp_rows] < _STATIC_BELOW]
+            self._dynamics.remember(image, se3.apply(pose, cloud.points[rows]), stamp)
+        points = cloud.points[static].astype(np.float64)
+        self._map.update(se3.apply(pose, points), pose[:3, 3])
+        self._locator.update(points, pose)
+        self._sightings.keep(image, is_keyframe)
+
+    def _estimate(
+        self,
+        pose: F64,
+        reason: Reason,
+        confidence: float,
+        dynamic: NDArray[np.float32],
+        is_keyframe: bool,
+    ) -> Estimate:
+        last = self._keyframes.last
+        return Estimate(
+            pose=pose,
+            covariance=self.covariance,
+            source=self.source,
+            reason=reason,
+            confidence=confidence,
+            dynamic_probability=dynamic,
+            keyframe_id=0 if last is None else last.number,
+            is_keyframe=is_keyframe,
+        )

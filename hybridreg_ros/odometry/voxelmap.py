@@ -1,0 +1,269 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Numba kernels of a hashed voxel grid: thinning, insertion, search, erasure."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray  # noqa: TC002 (numba reads the annotations of Grid)
+
+
+class Grid(NamedTuple):
+    """One level of the map as the kernels see it.
+
+    Attributes:
+        size: edge of a voxel, metres.
+        table: (C,) int64, open-addressing hash table of voxel keys, C a power of two.
+        slots: (C,) int32, voxel number of each table entry.
+        keys: (V,) int64 key of each voxel.
+        counts: (V,) int32 points in each voxel.
+        store: (V, K, 3) float32 those points, map frame, metres.
+        surface: (V, K, 5) float32 unit normal, offset of the surface along it, variance across it.
+        kind: (V, K) int8, POINT or PLANE once fitted.
+        fitted: (V, K) int32, update after which the surface was fitted, 0 = not yet.
+        support: (V, K) int16, points it was fitted to.
+    """
+
+    size: float
+    table: NDArray[np.int64]
+    slots: NDArray[np.int32]
+    keys: NDArray[np.int64]
+    counts: NDArray[np.int32]
+    store: NDArray[np.float32]
+    surface: NDArray[np.float32]
+    kind: NDArray[np.int8]
+    fitted: NDArray[np.int32]
+    support: NDArray[np.int16]
+
+
+HALF_SPAN = 1 << 20
+"""Voxel indices must lie in (-HALF_SPAN, HALF_SPAN): 21 bits per axis in one int64 key."""
+EMPTY = -1
+
+_jit = numba.njit(cache=True, nogil=True)
+
+
+@_jit
+def voxel_key(x, y, z, inverse_size):  # type: ignore[no-untyped-def]
+    """Key of the voxel that holds a point (int64), or EMPTY when it lies outside the grid."""
+    i = int(np.floor(x * inverse_size)) + HALF_SPAN
+    j = int(np.floor(y * inverse_size)) + HALF_SPAN
+    k = int(np.floor(z * inverse_size)) + HALF_SPAN
+    limit = 2 * HALF_SPAN
+    if i <= 0 or j <= 0 or k <= 0 or i >= limit - 1 or j >= limit - 1 or k >= limit - 1:
+        return EMPTY
+    return (i << 42) | (j << 21) | k
+
+
+@_jit
+def find_slot(table, key):  # type: ignore[no-untyped-def]
+    """Slot of a key in the open-addressing table (C,), or the free slot where it belongs."""
+    mask = len(table) - 1
+    slot = ((key * -7046029254386353131) >> 40) & mask
+    while table[slot] != EMPTY and table[slot] != key:
+        slot = (slot + 1) & mask
+    return slot
+
+
+@_jit
+def first_per_voxel(points, size):  # type: ignore[no-untyped-def]
+    """Rows of the first point (N, 3) in each voxel, in the order of the points; (M,) int64."""
+    n = len(points)
+    capacity = 16
+    while capacity < 2 * n:
+        capacity *= 2
+    table = np.full(capacity, EMPTY, np.int64)
+    rows = np.empty(n, np.int64)
+    found = 0
+    inverse = 1.0 / size
+    for row in range(n):
+        key = voxel_key(points[row, 0], points[row, 1], points[row, 2], inverse)
+        if key == EMPTY:
+            continue
+        slot = find_slot(table, key)
+        if table[slot] == EMPTY:
+            table[slot] = key
+            rows[found] = row
+            found += 1
+    return rows[:found].copy()
+
+
+@_jit
+def insert(points, spacing_sq, grid, used):  # type: ignore[no-untyped-def]
+    """Add points (N, 3) to the grid where a voxel has room and no point nearer than the spacing.
+
+    Args:
+        points: (N, 3) float, map frame.
+        spacing_sq: smallest squared distance between two points of one voxel.
+        grid: the level.
+        used: voxels in use.
+
+    Returns:
+        Voxels in use afterwards, and the row it stopped at (N unless the arrays are full).
+    """
+    inverse = 1.0 / grid.size
+    room = min(len(grid.counts), len(grid.table) // 2)
+    for row in range(len(points)):
+        x, y, z = points[row, 0], points[row, 1], points[row, 2]
+        key = voxel_key(x, y, z, inverse)
+        if key == EMPTY:
+            continue
+        slot = find_slot(grid.table, key)
+        if grid.table[slot] == EMPTY:
+            if used >= room:
+                return used, row
+            grid.table[slot] = key
+            grid.slots[slot] = used
+            grid.keys[used] = key
+            grid.counts[used] = 0
+            used += 1
+        voxel = grid.slots[slot]
+        count = grid.counts[voxel]
+        if count >= grid.store.shape[1]:
+            continue
+        near = False
+        for i in range(count):
+            dx = grid.store[voxel, i, 0] - x
+            dy = grid.store[voxel, i, 1] - y
+            dz = grid.store[voxel, i, 2] - z
+            if dx * dx + dy * dy + dz * dz < spacing_sq:
+                near = True
+                break
+        if not near:
+            grid.store[voxel, count, 0] = x
+            grid.store[voxel, count, 1] = y
+            grid.store[voxel, count, 2] = z
+            grid.fitted[voxel, count] = 0
+            grid.counts[voxel] = count + 1
+    return used, len(points)
+
+
+@_jit
+def keep_near(centre, reach_sq, grid, used):  # type: ignore[no-untyped-def]
+    """Drop empty voxels and voxels whose first point is farther than the reach; voxels in use."""
+    grid.table[:] = EMPTY
+    kept = 0
+    for voxel in range(used):
+        if grid.counts[voxel] == 0:
+            continue
+        dx = grid.store[voxel, 0, 0] - centre[0]
+        dy = grid.store[voxel, 0, 1] - centre[1]
+        dz = grid.store[voxel, 0, 2] - centre[2]
+        if dx * dx + dy * dy + dz * dz > reach_sq:
+            continue
+        if kept != voxel:
+            grid.keys[kept] = grid.keys[voxel]
+            grid.counts[kept] = grid.counts[voxel]
+            grid.store[kept] = grid.store[voxel]
+            grid.surface[kept] = grid.surface[voxel]
+            grid.kind[kept] = grid.kind[voxel]
+            grid.fitted[kept] = grid.fitted[voxel]
+            grid.support[kept] = grid.support[voxel]
+        slot = find_slot(grid.table, grid.keys[kept])
+        grid.table[slot] = grid.keys[kept]
+        grid.slots[slot] = kept
+        kept += 1
+    return kept
+
+
+@_jit
+def erase_near(points, reach_sq, grid):  # type: ignore[no-untyped-def]
+    """Remove stored points within the reach of any of the points (N, 3); returns how many."""
+    inverse = 1.0 / grid.size
+    removed = 0
+    for row in range(len(points)):
+        x, y, z = points[row, 0], points[row, 1], points[row, 2]
+        key = voxel_key(x, y, z, inverse)
+        if key == EMPTY:
+            continue
+        slot = find_slot(grid.table, key)
+        if grid.table[slot] == EMPTY:
+            continue
+        voxel = grid.slots[slot]
+        i = 0
+        while i < grid.counts[voxel]:
+            dx = grid.store[voxel, i, 0] - x
+            dy = grid.store[voxel, i, 1] - y
+            dz = grid.store[voxel, i, 2] - z
+            if dx * dx + dy * dy + dz * dz <= reach_sq:
+                grid.counts[voxel] -= 1
+                grid.store[voxel, i] = grid.store[voxel, grid.counts[voxel]]
+                grid.fitted[voxel, i] = 0
+                removed += 1
+            else:
+                i += 1
+    return removed
+
+
+@_jit
+def mean_distance(points, R, t, grid):  # type: ignore[no-untyped-def]
+    """Mean distance of moved points (N, 3) to the nearest stored point, cut off at a voxel."""
+    total = 0.0
+    for row in range(len(points)):
+        px, py, pz = points[row, 0], points[row, 1], points[row, 2]
+        x = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + t[0]
+        y = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz + t[1]
+        z = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2]
+        total += np.sqrt(nearest(x, y, z, grid)[2])
+    return total / max(1, len(points))
+
+
+@_jit
+def nearest(x, y, z, grid):  # type: ignore[no-untyped-def]
+    """Stored point nearest to a place, within one voxel edge.
+
+    Returns:
+        Voxel (-1 = none), number in it, squared distance (the squared edge when there is none).
+    """
+    size = grid.size
+    best = size * size
+    voxel_found, place = -1, 0
+    centre = voxel_key(x, y, z, 1.0 / size)
+    if centre == EMPTY:
+        return voxel_found, place, best
+    # Distance to the lower and upper face of the own voxel: a neighbour cannot be nearer.
+    fx = x / size - np.floor(x / size)
+    fy = y / size - np.floor(y / size)
+    fz = z / size - np.floor(z / size)
+    for turn in range(2):
+        for di in range(-1, 2):
+            gx = 0.0 if di == 0 else (fx if di < 0 else 1.0 - fx)
+            for dj in range(-1, 2):
+                gy = 0.0 if dj == 0 else (fy if dj < 0 else 1.0 - fy)
+                for dk in range(-1, 2):
+                    own = di == 0 and dj == 0 and dk == 0
+                    if own != (turn == 0):
+                        continue
+                    gz = 0.0 if dk == 0 else (fz if dk < 0 else 1.0 - fz)
+                    if (gx * gx + gy * gy + gz * gz) * size * size >= best:
+                        continue
+                    slot = find_slot(grid.table, centre + (di << 42) + (dj << 21) + dk)
+                    if grid.table[slot] == EMPTY:
+                        continue
+                    voxel = grid.slots[slot]
+                    for i in range(grid.counts[voxel]):
+                        dx = grid.store[voxel, i, 0] - x
+                        dy = grid.store[voxel, i, 1] - y
+                        dz = grid.store[voxel, i, 2] - z
+                        d = dx * dx + dy * dy + dz * dz
+                        if d < best:
+                            best, voxel_found, place = d, voxel, i
+    return voxel_found, place, best
+
+
+@_jit
+def gather(counts, store, used):  # type: ignore[no-untyped-def]
+    """All stored points as (N, 3) float32."""
+    total = 0
+    for voxel in range(used):
+        total += counts[voxel]
+    points = np.empty((total, 3), np.float32)
+    row = 0
+    for voxel in range(used):
+        for i in range(counts[voxel]):
+            points[row] = store[voxel, i]
+            row += 1
+    return points

@@ -1,0 +1,268 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Recorded files as frames of a bag: KITTI-style scans, depth images with poses, TUM RGB-D."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybridreg_ros.core import se3
+from hybridreg_ros.core.errors import FileFormatError
+from hybridreg_ros.core.pointcloud2 import from_arrays
+from hybridreg_ros.core.scan import NS_PER_S
+from hybridreg_ros.replay import trajectory_io
+from hybridreg_ros.replay.depth_images import (
+    Pinhole,
+    back_project,
+    read_depth,
+    read_intrinsics,
+)
+from hybridreg_ros.replay.recording import EPOCH_S, RecordedFrame
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from hybridreg_ros.metrics.trajectory import Trajectory
+
+LIDAR_FRAME = 'lidar'
+CAMERA_FRAME = 'camera_depth_optical_frame'
+KITTI_RATE_HZ, DEPTH_RATE_HZ = 10.0, 30.0
+TUM_UNITS_PER_M, DEPTH_UNITS_PER_M = 5000.0, 1000.0
+MAX_POSE_GAP_S = 0.1
+TUM_CAMERAS = {
+    'freiburg1': Pinhole(517.3, 516.5, 318.6, 255.3),
+    'freiburg2': Pinhole(520.9, 521.0, 325.1, 249.7),
+    'freiburg3': Pinhole(535.4, 539.2, 320.1, 247.6),
+}
+TUM_DEFAULT = Pinhole(525.0, 525.0, 319.5, 239.5)
+
+
+@dataclass(frozen=True)
+class ConvertOptions:
+    """How files are read.
+
+    Attributes:
+        poses: poses file; None looks for it in the folder.
+        rate_hz: frames per second where the files give no times; None = by format.
+        stride: take every n-th frame.
+        pixel_step: of a depth image, take every n-th row and column.
+        max_depth_m: farther pixels are missing, metres.
+    """
+
+    poses: Path | None = None
+    rate_hz: float | None = None
+    stride: int = 1
+    pixel_step: int = 1
+    max_depth_m: float = 10.0
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A folder that was looked through: what it holds, and how to read it.
+
+    Attributes:
+        frames: number of frames.
+        poses: number of frames with a true pose.
+        read: reads the frame of a number.
+    """
+
+    frames: int
+    poses: int
+    read: Callable[[int], RecordedFrame]
+
+    def __iter__(self) -> Iterator[RecordedFrame]:
+        """Frames one after the other."""
+        return map(self.read, range(self.frames))
+
+
+def open_recording(kind: str, folder: Path, options: ConvertOptions) -> Recording:
+    """Look through a folder.
+
+    Args:
+        kind: kitti, depth or tum.
+        folder: where the files are.
+        options: how to read them.
+
+    Raises:
+        FileFormatError: the folder does not hold what `kind` needs.
+    """
+    if not folder.is_dir():
+        raise FileFormatError(f'no folder {folder}')
+    return {'kitti': _kitti, 'depth': _depth, 'tum': _tum}[kind](folder, options)
+
+
+def _kitti(folder: Path, options: ConvertOptions) -> Recording:
+    scans = sorted((folder / 'velodyne').glob('*.bin')) or sorted(folder.glob('*.bin'))
+    if not scans:
+        raise FileFormatError(f'{folder} holds no scans: expected velodyne/*.bin')
+    poses = _kitti_poses(folder, options.poses)
+    stamps = _kitti_stamps(folder, len(scans), options.rate_hz or KITTI_RATE_HZ)
+    if poses is not None and len(poses) != len(scans):
+        raise FileFormatError(f'{folder} has {len(scans)} scans but {len(poses)} poses')
+    chosen = range(0, len(scans), options.stride)
+
+    def read(number: int) -> RecordedFrame:
+        i = chosen[number]
+        raw = np.fromfile(scans[i], dtype='<f4')
+        if len(raw) % 4:
+            raise FileFormatError(
+                f'{scans[i]} is cut off: {raw.nbytes} bytes are not a multiple of 16 (x y z i)'
+            )
+        table = raw.reshape(-1, 4)
+        cloud = from_arrays(table[:, :3], {'intensity': table[:, 3].copy()})
+        return RecordedFrame(stamps[i], LIDAR_FRAME, cloud, None if poses is None else poses[i])
+
+    return Recording(len(chosen), 0 if poses is None else len(chosen), read)
+
+
+def _kitti_poses(folder: Path, given: Path | None) -> NDArray[np.float64] | None:
+    """Poses (N, 4, 4) of the lidar; with calib.txt the file holds those of the camera."""
+    path = given
+    if path is None:
+        found = sorted(folder.glob('poses*.txt'))
+        path = folder / 'poses.txt' if folder / 'poses.txt' in found else None
+        if path is None and len(found) > 1:
+            raise FileFormatError(
+                f'{folder} has several pose files, choose one with --poses: '
+                f'{", ".join(p.name for p in found)}'
+            )
+        path = path or (found[0] if found else None)
+        official = folder.parent.parent / 'poses' / f'{folder.name}.txt'
+        path = path or (official if official.exists() else None)
+    if path is None:
+        return None
+    poses = trajectory_io.read_kitti_rows(path)
+    calibration = folder / 'calib.txt'
+    if not calibration.exists():
+        return poses
+    T_camera_lidar = _tr_of(calibration)
+    lidar: NDArray[np.float64] = se3.inverse(T_camera_lidar) @ poses @ T_camera_lidar
+    return lidar
+
+
+def _tr_of(path: Path) -> NDArray[np.float64]:
+    for line in path.read_text('utf-8').splitlines():
+        name, _, values = line.partition(':')
+        if name.strip() in ('Tr', 'Tr_velo_to_cam', 'Tr_velo_cam'):
+            numbers = [float(v) for v in values.split()]
+            if len(numbers) == 12:
+                T = np.eye(4)
+                T[:3] = np.reshape(numbers, (3, 4))
+                return se3.orthonormalise(T)
+    raise FileFormatError(f'{path}: expected a row "Tr:" with 12 numbers')
+
+
+def _kitti_stamps(folder: Path, count: int, rate_hz: float) -> list[int]:
+    times = folder / 'times.txt'
+    if not times.exists():
+        return [_stamp_of(i, rate_hz) for i in range(count)]
+    stamps = trajectory_io.read_times(times)
+    if len(stamps) != count:
+        raise FileFormatError(
+            f'{folder} has {count} scans but {len(stamps)} times in {times.name}'
+        )
+    return stamps
+
+
+def _stamp_of(number: int, rate_hz: float) -> int:
+    return EPOCH_S * NS_PER_S + round(number / rate_hz * NS_PER_S)
+
+
+def _depth(folder: Path, options: ConvertOptions) -> Recording:
+    images = sorted(folder.glob('*depth*.png')) or sorted((folder / 'depth').glob('*.png'))
+    if not images:
+        raise FileFormatError(
+            f'{folder} holds no depth images: expected *depth*.png or depth/*.png'
+        )
+    camera = _camera_of(folder)
+    if camera is None:
+        raise FileFormatError(f'{folder} lacks camera-intrinsics.txt (3x3 matrix or fx fy cx cy)')
+    poses = [_pose_beside(image) for image in images]
+    numbers = [re.findall(r'\d+', image.name) for image in images]
+    ordered = all(numbers) and len({int(n[-1]) for n in numbers}) == len(images)
+    rate = options.rate_hz or DEPTH_RATE_HZ
+    chosen = range(0, len(images), options.stride)
+
+    def read(number: int) -> RecordedFrame:
+        i = chosen[number]
+        cloud = back_project(
+            read_depth(images[i]),
+            camera,
+            DEPTH_UNITS_PER_M,
+            options.max_depth_m,
+            options.pixel_step,
+        )
+        place = int(numbers[i][-1]) if ordered else i
+        return RecordedFrame(_stamp_of(place, rate), CAMERA_FRAME, cloud, poses[i])
+
+    return Recording(len(chosen), sum(poses[i] is not None for i in chosen), read)
+
+
+def _camera_of(folder: Path) -> Pinhole | None:
+    for name in ('camera-intrinsics.txt', 'intrinsics.txt', 'camera_intrinsics.txt'):
+        if (folder / name).exists():
+            return read_intrinsics(folder / name)
+    return None
+
+
+def _pose_beside(image: Path) -> NDArray[np.float64] | None:
+    """4x4 camera-to-world of frame-N.depth.png in frame-N.pose.txt; None when lost or absent."""
+    path = image.with_name(re.sub(r'[.\-_]?depth[.\-_]?', '', image.stem) + '.pose.txt')
+    if not path.exists():
+        return None
+    try:
+        T = np.array([float(v) for v in path.read_text('utf-8').split()])
+    except ValueError as error:
+        raise FileFormatError(f'{path}: {error}') from None
+    if T.shape != (16,):
+        raise FileFormatError(f'{path}: expected 16 numbers, found {len(T)}')
+    return se3.orthonormalise(T.reshape(4, 4)) if np.isfinite(T).all() else None
+
+
+def _tum(folder: Path, options: ConvertOptions) -> Recording:
+    listing = folder / 'depth.txt'
+    if not listing.exists():
+        raise FileFormatError(f'{folder} lacks depth.txt (one line per image: stamp file)')
+    entries = trajectory_io.read_listing(listing)
+    truth_file = options.poses or folder / 'groundtruth.txt'
+    truth = trajectory_io.read_tum(truth_file) if truth_file.exists() or options.poses else None
+    camera = _camera_of(folder) or next(
+        (c for name, c in TUM_CAMERAS.items() if name in folder.resolve().name), TUM_DEFAULT
+    )
+    chosen = entries[:: options.stride]
+    poses = [None if truth is None else pose_at(truth, stamp) for stamp, _ in chosen]
+
+    def read(number: int) -> RecordedFrame:
+        stamp, name = chosen[number]
+        cloud = back_project(
+            read_depth(folder / name),
+            camera,
+            TUM_UNITS_PER_M,
+            options.max_depth_m,
+            options.pixel_step,
+        )
+        return RecordedFrame(stamp, CAMERA_FRAME, cloud, poses[number])
+
+    return Recording(len(chosen), sum(p is not None for p in poses), read)
+
+
+def pose_at(truth: Trajectory, stamp: int) -> NDArray[np.float64] | None:
+    """Pose (4, 4) at a stamp (ns), interpolated; None outside, or in a gap of 0.1 s or more."""
+    right = int(np.searchsorted(truth.stamps, stamp))
+    if right < len(truth) and truth.stamps[right] == stamp:
+        exact: NDArray[np.float64] = truth.poses[right]
+        return exact
+    if right == 0 or right == len(truth):
+        return None
+    before, after = int(truth.stamps[right - 1]), int(truth.stamps[right])
+    if after - before >= MAX_POSE_GAP_S * NS_PER_S:
+        return None
+    share = (stamp - before) / (after - before)
+    return se3.interpolate(truth.poses[right - 1], truth.poses[right], share)

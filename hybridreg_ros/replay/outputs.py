@@ -1,0 +1,205 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Files of a replay: odometry.tum, dynamic.mcap and metrics.json, readable even when cut short."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hybridreg_ros.core import provenance
+from hybridreg_ros.core.pointcloud2 import with_field
+from hybridreg_ros.metrics import mask, trajectory
+from hybridreg_ros.replay.bag_writer import BagWriter
+from hybridreg_ros.replay.runner import DYNAMIC_THRESHOLD
+from hybridreg_ros.replay.trajectory_io import tum_row
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from hybridreg_ros.metrics.trajectory import Trajectory
+    from hybridreg_ros.odometry.result import OdometryResult
+    from hybridreg_ros.replay.runner import FrameLog, ReplayLog
+
+ODOM_TOPIC = '/hybridreg/odom'
+DYNAMIC_TOPIC = '/hybridreg/dynamic_points'
+STATIC_TOPIC = '/hybridreg/static_points'
+PROBABILITY_FIELD = 'dynamic_probability'
+ODOM_FRAME = 'odom'
+
+
+class TumFile:
+    """Appends one line per pose; complete after every line."""
+
+    def __init__(self, path: Path) -> None:
+        self._stream = path.open('w', encoding='ascii', buffering=1)
+
+    def add(self, message: Any, result: OdometryResult) -> None:
+        """Write the pose of one scan."""
+        self._stream.write(tum_row(result.stamp, result.pose) + '\n')
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stream.close()
+
+
+class OutputBag:
+    """Writes odometry, dynamic and static points of each scan, as the node publishes them."""
+
+    def __init__(
+        self, path: Path, clouds: bool = True, threshold: float = DYNAMIC_THRESHOLD
+    ) -> None:
+        self._writer = BagWriter(path, overwrite=True)
+        self._threshold = threshold
+        self._clouds = clouds
+
+    def add(self, message: Any, result: OdometryResult) -> None:
+        """Write the messages of one scan; clouds keep every field of the input message."""
+        scan = result.scan
+        self._writer.write_odometry(
+            ODOM_TOPIC,
+            result.stamp,
+            (ODOM_FRAME, scan.frame_id),
+            result.pose,
+            result.covariance,
+            result.twist,
+            result.twist_covariance,
+        )
+        if not self._clouds:
+            return
+        probability = np.asarray(result.dynamic_probability, dtype=np.float32)
+        moving = probability >= self._threshold
+        for topic, keep in ((DYNAMIC_TOPIC, moving), (STATIC_TOPIC, ~moving)):
+            cloud = with_field(message, scan, PROBABILITY_FIELD, probability, keep)
+            self._writer.write_cloud(topic, result.stamp, scan.frame_id, cloud)
+
+    def close(self) -> None:
+        """Finish the bag."""
+        self._writer.close()
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Scores:
+    """Scores of a run.
+
+    Attributes:
+        trajectory: None without truth.
+        mask: None without labels.
+        note: why something could not be scored, '' when all was.
+    """
+
+    trajectory: trajectory.TrajectoryScore | None = None
+    mask: mask.MaskScore | None = None
+    note: str = ''
+
+
+def score_log(log: ReplayLog, truth: Trajectory | None) -> Scores:
+    """Score a run, live or offline, against the truth of its bag.
+
+    Args:
+        log: the run.
+        truth: T_world_sensor, or None.
+    """
+    counts = log.mask_counts()
+    mask_score = None if counts is None else mask.score(counts)
+    if truth is None:
+        return Scores(None, mask_score, 'the bag holds no ground truth')
+    estimate = log.trajectory()
+    if len(estimate) < 2:
+        return Scores(None, mask_score, f'{len(estimate)} poses are too few to score')
+    return Scores(trajectory.score(estimate, truth), mask_score)
+
+
+def stage_times(frames: Sequence[FrameLog]) -> dict[str, dict[str, float]]:
+    """Median, mean and 95th percentile of each stage, milliseconds."""
+    stages = dict.fromkeys(stage for f in frames for stage in f.seconds)
+    table = {}
+    for stage in stages:
+        ms = 1000.0 * np.array([f.seconds[stage] for f in frames if stage in f.seconds])
+        table[stage] = {
+            'median': float(np.median(ms)),
+            'mean': float(ms.mean()),
+            'p95': float(np.percentile(ms, 95)),
+        }
+    return table
+
+
+def metrics_of(
+    log: ReplayLog, scores: Scores, config: Mapping[str, Any], bag: Path, **about: Any
+) -> dict[str, Any]:
+    """Content of metrics.json.
+
+    Args:
+        log: the run.
+        scores: its scores.
+        config: configuration of the front end, plain values.
+        bag: input, whose checksum is recorded.
+        **about: further entries such as topic, stride, registrar, live, recovered.
+    """
+    frames = log.frames
+    seen = {f.reason for f in frames}
+    confidence = np.array([f.confidence for f in frames if math.isfinite(f.confidence)])
+    return {
+        'bag': str(bag),
+        **about,
+        'frames': len(frames),
+        'accepted': sum(f.accepted for f in frames),
+        'drops': log.drops,
+        'interrupted': log.interrupted,
+        'notes': log.notes,
+        'sources': log.sources(),
+        'reasons': {r: sum(f.reason == r for f in frames) for r in sorted(seen)},
+        'confidence_mean': float(confidence.mean()) if len(confidence) else None,
+        'dynamic_share': sum(f.dynamic for f in frames) / max(sum(f.points for f in frames), 1),
+        'trajectory': scores.trajectory,
+        'mask': scores.mask,
+        'not_scored': scores.note,
+        'time_ms': stage_times(frames),
+        'wall_s': log.wall_s,
+        'per_frame': [_frame_row(f) for f in frames],
+        'provenance': provenance.collect(config, (bag,)),
+    }
+
+
+def _frame_row(frame: FrameLog) -> dict[str, Any]:
+    """Per-frame entry of metrics.json (the pose stands in odometry.tum)."""
+    return {
+        'stamp': frame.stamp,
+        'source': frame.source,
+        'reason': frame.reason,
+        'confidence': frame.confidence,
+        'points': frame.points,
+        'invalid': frame.invalid,
+        'dynamic': frame.dynamic,
+        'accepted': frame.accepted,
+        'total_ms': 1000.0 * frame.seconds.get('total', float('nan')),
+        'mask': frame.mask,
+    }
+
+
+def plain(value: Any) -> Any:
+    """Nested plain values for JSON: dataclasses become mappings, NaN and inf become null."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    if isinstance(value, (np.ndarray, np.generic)):
+        return plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write plain JSON; the file appears complete or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    scratch = path.with_name(f'.{path.name}.writing')
+    scratch.write_text(json.dumps(plain(value), indent=1, allow_nan=False) + '\n', 'utf-8')
+    scratch.replace(path)

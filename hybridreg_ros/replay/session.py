@@ -1,0 +1,159 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""One bag from start to finish: front end, output files, scores, report."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from hybridreg_ros.core.config import to_dict
+from hybridreg_ros.odometry.config import OdometryConfig
+from hybridreg_ros.replay import outputs, runner
+from hybridreg_ros.replay.bag_reader import open_bag
+from hybridreg_ros.replay.interrupt import StopRequest
+from hybridreg_ros.replay.pictures import Album
+from hybridreg_ros.replay.report import ReportRun, write_report
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from hybridreg_ros.metrics.trajectory import Trajectory
+    from hybridreg_ros.odometry.frontend import HybridOdometry
+    from hybridreg_ros.replay.pictures import FrameView
+    from hybridreg_ros.replay.runner import FrameLog, ReplayLog
+
+
+@dataclass(frozen=True)
+class Job:
+    """What to do with one bag.
+
+    Attributes:
+        bag: file or directory.
+        out: folder of the results.
+        config: settings of the front end.
+        weights: checkpoint, None for the packaged one.
+        topic: PointCloud2 topic, None for the only one.
+        truth_topic: Odometry topic with true poses, None for /ground_truth/odom.
+        time_unit: unit of per-point times.
+        stride: take every n-th cloud.
+        max_frames: stop after so many.
+        clouds: write dynamic and static clouds into dynamic.mcap.
+    """
+
+    bag: Path
+    out: Path
+    config: OdometryConfig = OdometryConfig()
+    weights: Path | None = None
+    topic: str | None = None
+    truth_topic: str | None = None
+    time_unit: str = 'auto'
+    stride: int = 1
+    max_frames: int | None = None
+    clouds: bool = True
+
+
+def build_front_end(config: OdometryConfig, weights: Path | None) -> HybridOdometry:
+    """Front end of the settings; the network is loaded only when it leads.
+
+    Raises:
+        WeightsError: the checkpoint is missing, damaged or foreign.
+    """
+    from hybridreg_ros.odometry.frontend import HybridOdometry
+
+    if config.registrar == 'kiss-icp' or weights is None:
+        return HybridOdometry(config)
+    from hybridreg_ros.model.register import HybridReg
+
+    return HybridOdometry(config, model=HybridReg.from_pretrained(weights))
+
+
+def planned_frames(job: Job) -> tuple[str, int]:
+    """Cloud topic of a job's bag and how many clouds of it will be taken.
+
+    Raises:
+        BagError: the bag cannot be read, or has no such topic.
+    """
+    with open_bag(job.bag) as bag:
+        topic = bag.cloud_topic(job.topic)
+        count = -(-bag.topics[topic].messages // job.stride)
+    return topic, count if job.max_frames is None else min(count, job.max_frames)
+
+
+def replay(job: Job, tick: Callable[[FrameLog | None], None] | None = None) -> ReportRun:
+    """Send a bag through the front end offline and write all results.
+
+    After Ctrl-C or at a damaged place of the bag, the results so far are written all the same.
+
+    Args:
+        job: what to do.
+        tick: called after each cloud.
+
+    Raises:
+        BagError: the bag cannot be opened or has no usable topic.
+        WeightsError: the checkpoint cannot be used.
+    """
+    topic, count = planned_frames(job)
+    threshold = job.config.dynamics.threshold
+    front_end = build_front_end(job.config, job.weights)
+    job.out.mkdir(parents=True, exist_ok=True)
+    album = Album(count, threshold=threshold)
+    with contextlib.ExitStack() as stack:
+        bag = stack.enter_context(open_bag(job.bag))
+        truth = bag.ground_truth(job.truth_topic)
+        tum = stack.enter_context(contextlib.closing(outputs.TumFile(job.out / 'odometry.tum')))
+        made = outputs.OutputBag(job.out / 'dynamic.mcap', job.clouds, threshold)
+        stack.enter_context(contextlib.closing(made))
+        stop = stack.enter_context(StopRequest())
+        log = runner.run(
+            bag.frames(topic, job.time_unit),
+            front_end,
+            (tum, made, album),
+            job.stride,
+            job.max_frames,
+            threshold,
+            tick,
+            stop,
+        )
+        recovered = bag.recovered
+    if recovered is not None:
+        log.notes.append(f'the bag is cut off, {recovered} messages were recovered')
+    if job.config.registrar == 'hybridreg' and not front_end.has_network:
+        log.notes.append('no network weights: the fallback kiss-icp makes every pose')
+    about = {'topic': topic, 'stride': job.stride, 'live': False, 'recovered': recovered}
+    return finish(job, log, truth, album.views(), about)
+
+
+def finish(
+    job: Job,
+    log: ReplayLog,
+    truth: Trajectory | None,
+    views: list[FrameView],
+    about: dict[str, Any],
+) -> ReportRun:
+    """Score a run, live or offline, and write metrics.json and report.html.
+
+    Args:
+        job: what was done.
+        log: its frames.
+        truth: reference, None without.
+        views: frames for the pictures.
+        about: further entries of metrics.json.
+    """
+    scores = outputs.score_log(log, truth)
+    metrics = outputs.metrics_of(
+        log, scores, to_dict(job.config), job.bag, registrar=job.config.registrar, **about
+    )
+    outputs.write_json(job.out / 'metrics.json', metrics)
+    run = ReportRun(job.config.registrar, log, scores, truth, views, metrics)
+    mode = 'through the node, live' if about.get('live') else 'offline'
+    write_report(
+        job.out / 'report.html',
+        f'Replay of {job.bag.name}',
+        f'{len(log.frames)} frames {mode}, front end {job.config.registrar}, '
+        f'{log.wall_s:.1f} s of computation',
+        [run],
+    )
+    return run

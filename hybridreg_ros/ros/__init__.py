@@ -1,0 +1,3 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""The ROS 2 node and the bag player; the only place that imports rclpy."""

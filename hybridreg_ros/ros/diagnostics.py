@@ -1,0 +1,138 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""/diagnostics: one status that says whether the odometry can be trusted, and if not, why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from hybridreg_ros.odometry.result import Reason, Source
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from builtin_interfaces.msg import Time
+
+    from hybridreg_ros.ros.monitor import Snapshot
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+_CHOSEN = (Reason.OK, Reason.REGISTRAR_KISS_ICP, Reason.FIRST_SCAN)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What does not come from the clouds.
+
+    Attributes:
+        name: name of the status, with the node's name.
+        hardware_id: topic the clouds come from.
+        weights: state of the network's weights.
+        has_weights: False when the network cannot be used although it was asked for.
+        transport: what fastdds.prepare decided.
+        transport_warning: True when large clouds may be lost.
+        input_timeout_s: silence that is worth a warning.
+        paused: True between ~/pause and ~/resume.
+        waiting_for: text while outputs are held back (extrinsic unknown), else ''.
+        queue: clouds waiting.
+        tf: state of the /tf output.
+    """
+
+    name: str
+    hardware_id: str
+    weights: str
+    has_weights: bool
+    transport: str
+    transport_warning: bool
+    input_timeout_s: float
+    paused: bool
+    waiting_for: str
+    queue: int
+    tf: str
+
+
+def findings(state: Snapshot, setting: Setting) -> list[tuple[bytes, str]]:
+    """What is wrong now, as (level, text), the most severe first."""
+    found = _about_clouds(state) + _about_node(state, setting)
+    return sorted(found, key=lambda item: -item[0][0])
+
+
+def _about_clouds(state: Snapshot) -> list[tuple[bytes, str]]:
+    found = []
+    if state.source is Source.LOST:
+        found.append((ERROR, f'lost: {state.reason.value}; the pose must not be used'))
+    elif state.recent_poor:
+        found.append((WARN, f'pose only predicted: {_listing(state.recent_poor)}'))
+    if state.recent_drops:
+        unasked = set(state.recent_drops) - {'paused', 'reset'}
+        severe = 'internal_error' in unasked or (unasked and not state.processed)
+        text = f'clouds dropped: {_listing(state.recent_drops)}; last: {state.last_drop}'
+        found.append((ERROR if severe else WARN, text))
+    if state.note:
+        found.append((WARN, state.note))
+    return found
+
+
+def _about_node(state: Snapshot, setting: Setting) -> list[tuple[bytes, str]]:
+    found = []
+    if not setting.has_weights:
+        found.append((WARN, f'no weights, kiss-icp alone: {setting.weights}'))
+    elif state.source is Source.KISS_ICP and state.reason not in _CHOSEN:
+        found.append((WARN, f'fallback kiss_icp: {state.reason.value}'))
+    if setting.paused:
+        found.append((WARN, 'paused'))
+    elif state.idle_s > setting.input_timeout_s:
+        found.append((WARN, f'no cloud for {state.idle_s:.1f} s on {setting.hardware_id}'))
+    if setting.waiting_for:
+        found.append((WARN, setting.waiting_for))
+    if setting.transport_warning:
+        found.append((WARN, setting.transport))
+    return found
+
+
+def _listing(counts: Mapping[str, int]) -> str:
+    return ', '.join(f'{n} {cause}' for cause, n in sorted(counts.items()))
+
+
+def status(state: Snapshot, setting: Setting) -> DiagnosticStatus:
+    """Build the diagnostic status of this instant."""
+    found = findings(state, setting)
+    values = {
+        'source': 'none' if state.source is None else state.source.value,
+        'reason': state.reason.value,
+        'confidence': f'{state.confidence:.3f}',
+        'weights': setting.weights,
+        'input_rate_hz': f'{state.input_rate_hz:.2f}',
+        'received': str(state.received),
+        'processed': str(state.processed),
+        'dropped': str(sum(state.dropped.values())),
+        **{f'dropped.{cause}': str(n) for cause, n in sorted(state.dropped.items())},
+        **{f'poor.{reason}': str(n) for reason, n in sorted(state.poor.items())},
+        'last_drop': state.last_drop or 'none',
+        'invalid_points': str(state.invalid_points),
+        'waiting': str(setting.queue),
+        'latency_ms': f'{1e3 * state.latency_s:.1f}',
+        'worst_latency_ms': f'{1e3 * state.worst_latency_s:.1f}',
+        'last_switch': state.last_switch,
+        'deskewed': str(state.deskewed).lower(),
+        'tf': setting.tf,
+        'transport': setting.transport,
+        **{f'{stage}_ms': f'{1e3 * s:.1f}' for stage, s in state.timings_s.items()},
+    }
+    return DiagnosticStatus(
+        level=found[0][0] if found else OK,
+        name=setting.name,
+        message='; '.join(text for _, text in found) or 'ok',
+        hardware_id=setting.hardware_id,
+        values=[KeyValue(key=k, value=v) for k, v in values.items()],
+    )
+
+
+def to_array(state: Snapshot, setting: Setting, stamp: Time) -> DiagnosticArray:
+    """Build the diagnostics message."""
+    array = DiagnosticArray(status=[status(state, setting)])
+    array.header.stamp = stamp
+    return array

@@ -1,0 +1,103 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""NodeConfig: the settings that only the ROS node has; the front end has its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybridreg_ros.core.config import dump_yaml, option, validate
+from hybridreg_ros.core.errors import ConfigError
+
+RESTART_ONLY = ('weights', 'input_qos', 'input_qos_depth', 'extrinsic_source')
+"""Fields that are read when the node starts; the parameter server refuses to change them."""
+
+
+@dataclass(frozen=True)
+class NodeConfig:
+    """Frames, outputs, queue and quality of service of the node.
+
+    Raises:
+        ConfigError: a value has the wrong type or lies outside its range.
+    """
+
+    weights: str = option('', "weights file of the network; '' = the packaged ones")
+    odom_frame: str = option('odom', 'fixed frame of the odometry')
+    base_frame: str = option('', "frame whose pose is published; '' = frame of the clouds")
+    extrinsic_source: str = option(
+        'tf',
+        'where the pose of the sensor in base_frame comes from',
+        choices=('tf', 'parameter'),
+    )
+    extrinsic: tuple[float, ...] = option(
+        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
+        'pose of the sensor in base_frame, for extrinsic_source parameter: x y z (m) qx qy qz qw',
+    )
+    publish_tf: bool = option(True, 'publish odom_frame to base_frame on /tf')
+    invert_tf: bool = option(False, 'publish base_frame to odom_frame instead (odom as a leaf)')
+    publish_keyframe: bool = option(False, 'publish the static points of new keyframes')
+    publish_path: bool = option(False, 'publish the poses so far as nav_msgs/Path')
+    path_length: int = option(
+        2000, 'poses kept in the path; the oldest go first', low=2, high=100_000
+    )
+    input_qos: str = option(
+        'sensor_data',
+        'QoS of the cloud subscription; auto = reliable when every publisher is reliable',
+        choices=('sensor_data', 'reliable', 'auto'),
+    )
+    input_qos_depth: int = option(30, 'clouds that DDS keeps for the node', low=1, high=1000)
+    queue_depth: int = option(2, 'clouds that wait while one is processed', low=1, high=1000)
+    drop_policy: str = option(
+        'oldest', 'which waiting cloud goes when the queue is full', choices=('oldest', 'newest')
+    )
+    time_unit: str = option(
+        'auto',
+        'unit of per-point times; normalised = share of scan_period_s, none = ignore them',
+        choices=('auto', 's', 'ms', 'us', 'ns', 'normalised', 'none'),
+    )
+    scan_period_s: float = option(
+        0.1, 'seconds that a normalised time of 1 stands for', low=0.001, high=10.0
+    )
+    max_cloud_points: int = option(
+        4_000_000, 'larger clouds are dropped and counted', low=1000, high=100_000_000
+    )
+    input_timeout_s: float = option(
+        2.0, 'seconds without a cloud until diagnostics warn', low=0.1, high=3600.0
+    )
+    diagnostics_period_s: float = option(
+        1.0, 'seconds between two diagnostics messages', low=0.05, high=60.0
+    )
+
+    def __post_init__(self) -> None:
+        """Check ranges; see the class for what is raised."""
+        validate(self)
+        if len(self.extrinsic) != 7:
+            raise ConfigError(
+                f'extrinsic: expected 7 numbers x y z qx qy qz qw, found {len(self.extrinsic)}'
+            )
+        norm = float(np.linalg.norm(self.extrinsic[3:]))
+        if not abs(norm - 1.0) < 1e-3:
+            raise ConfigError(f'extrinsic: expected a unit quaternion, found norm {norm:.4g}')
+        for name in ('odom_frame', 'base_frame'):
+            value = getattr(self, name)
+            if value.startswith('/'):
+                raise ConfigError(f'{name}: expected a frame without leading /, found {value!r}')
+        if not self.odom_frame:
+            raise ConfigError("odom_frame: expected a frame name, found ''")
+        if self.odom_frame == self.base_frame:
+            raise ConfigError(
+                f'base_frame: expected another frame than odom_frame {self.odom_frame!r}'
+            )
+
+
+def parameter_file(config: NodeConfig | None = None) -> str:
+    """ROS parameter file (YAML text) of a config; `config/node.yaml` is that of the defaults."""
+    head = (
+        '# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers\n'
+        '# SPDX-License-Identifier: Apache-2.0\n'
+        '# Written by hybridreg_ros.ros.node_config.parameter_file; a test keeps it up to date.\n'
+        '/**:\n  ros__parameters:\n'
+    )
+    return head + dump_yaml(config or NodeConfig(), indent=4)

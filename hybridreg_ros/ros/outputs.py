@@ -1,0 +1,165 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Outputs: every publisher of the node, and what one result becomes on each of them."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from typing import TYPE_CHECKING, Any
+
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry, Path
+from sensor_msgs.msg import PointCloud2
+
+from hybridreg_ros.core.errors import PointCloudError
+from hybridreg_ros.core.pointcloud2 import with_field
+from hybridreg_ros.odometry.result import Source
+from hybridreg_ros.ros.conversions import to_odometry, to_pointcloud2, to_transform
+from hybridreg_ros.ros.qos import profile, publisher_events
+from hybridreg_ros.ros.transforms import (
+    MISSING,
+    Broadcaster,
+    StaticListener,
+    extrinsic_matrix,
+)
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+    from rclpy.node import Node
+
+    from hybridreg_ros.odometry.result import OdometryResult
+    from hybridreg_ros.ros.node_config import NodeConfig
+
+PROBABILITY = 'dynamic_probability'
+_OFFER = 'it is offered reliable, volatile'
+
+
+class Outputs:
+    """Publishes results; called from the worker thread only, except `configure` and `forget`.
+
+    Attributes:
+        waiting_for: text while odometry is held back because the extrinsic is unknown, else ''.
+        tf_available: whether tf2_msgs is there.
+    """
+
+    def __init__(self, node: Node, config: NodeConfig, threshold: float) -> None:
+        """Create the publishers.
+
+        Raises:
+            DependencyError: the extrinsic shall come from /tf_static and tf2_msgs is missing.
+        """
+        self._node = node
+        self._tf = Broadcaster(node)
+        self.tf_available = self._tf.available
+        self.waiting_for = ''
+        self._odometry = self._publisher(Odometry, '~/odom', 10)
+        self._dynamic = self._publisher(PointCloud2, '~/dynamic_points', 5)
+        self._static = self._publisher(PointCloud2, '~/static_points', 5)
+        self._keyframe = self._publisher(PointCloud2, '~/keyframe', 5)
+        self._path = self._publisher(Path, '~/path', 1)
+        self._lock = threading.Lock()
+        self._poses: deque[PoseStamped] = deque(maxlen=config.path_length)
+        self._listener: StaticListener | None = None
+        if config.base_frame and config.extrinsic_source == 'tf':
+            self._listener = StaticListener(node)
+        self.configure(config, threshold)
+
+    def _publisher(self, kind: type, topic: str, depth: int) -> Any:
+        name = self._node.resolve_topic_name(topic)
+        return self._node.create_publisher(
+            kind,
+            topic,
+            profile(reliable=True, depth=depth),
+            event_callbacks=publisher_events(self._node, name, _OFFER),
+        )
+
+    def configure(self, config: NodeConfig, threshold: float) -> None:
+        """Take changed parameters over.
+
+        Args:
+            config: frames and switches.
+            threshold: points from this P(dynamic) on go to the dynamic cloud.
+
+        Raises:
+            DependencyError: the extrinsic shall come from /tf_static and tf2_msgs is missing.
+        """
+        if config.base_frame and config.extrinsic_source == 'tf' and self._listener is None:
+            self._listener = StaticListener(self._node)
+        with self._lock:
+            self._poses = deque(self._poses, maxlen=config.path_length)
+        self._config = config
+        self._threshold = threshold
+        if config.publish_tf and not self.tf_available:
+            self._node.get_logger().warning('/tf: ' + self.tf_state, once=True)
+
+    @property
+    def tf_state(self) -> str:
+        """One line about /tf for the diagnostics."""
+        if not self._config.publish_tf:
+            return 'off'
+        return 'on' if self.tf_available else MISSING
+
+    def forget(self) -> None:
+        """Clear the path after a reset."""
+        with self._lock:
+            self._poses.clear()
+
+    def publish(self, msg: PointCloud2, result: OdometryResult) -> None:
+        """Publish everything that someone listens to for one result."""
+        config = self._config
+        self._publish_odometry(result, config)
+        dynamic = result.dynamic_probability >= self._threshold
+        self._publish_cloud(self._dynamic, msg, result, dynamic)
+        self._publish_cloud(self._static, msg, result, ~dynamic)
+        if config.publish_keyframe and result.is_keyframe:
+            self._publish_cloud(self._keyframe, msg, result, ~dynamic)
+
+    def _publish_odometry(self, result: OdometryResult, config: NodeConfig) -> None:
+        sensor_frame = result.scan.frame_id.lstrip('/')
+        child = config.base_frame or sensor_frame
+        T_base_sensor = self._extrinsic(child, sensor_frame, config)
+        if self.waiting_for:
+            return
+        msg = to_odometry(result, config.odom_frame, child, T_base_sensor)
+        self._odometry.publish(msg)
+        if config.publish_tf and result.source is not Source.LOST and child:
+            self._tf.send(to_transform(msg, config.invert_tf))
+        if config.publish_path and result.source is not Source.LOST:
+            with self._lock:
+                self._poses.append(PoseStamped(header=msg.header, pose=msg.pose.pose))
+                poses = list(self._poses)
+            if self._path.get_subscription_count():
+                self._path.publish(Path(header=msg.header, poses=poses))
+
+    def _extrinsic(
+        self, child: str, sensor_frame: str, config: NodeConfig
+    ) -> NDArray[np.float64] | None:
+        """Pose of the sensor in the child frame, None for the identity; sets `waiting_for`."""
+        self.waiting_for = ''
+        if child == sensor_frame:
+            return None
+        if config.extrinsic_source == 'parameter':
+            return extrinsic_matrix(config.extrinsic)
+        T = None if self._listener is None else self._listener.lookup(child, sensor_frame)
+        if T is None:
+            self.waiting_for = (
+                f'odometry held back: /tf_static does not connect {child} and {sensor_frame}'
+            )
+            self._node.get_logger().warning(self.waiting_for, throttle_duration_sec=10.0)
+        return T
+
+    def _publish_cloud(
+        self, publisher: Any, msg: PointCloud2, result: OdometryResult, keep: NDArray[np.bool_]
+    ) -> None:
+        if not publisher.get_subscription_count():
+            return
+        try:
+            cloud = with_field(msg, result.scan, PROBABILITY, result.dynamic_probability, keep)
+        except PointCloudError as error:
+            self._node.get_logger().warning(
+                f'{publisher.topic_name} not published: {error}', throttle_duration_sec=10.0
+            )
+            return
+        publisher.publish(to_pointcloud2(cloud, msg.header))

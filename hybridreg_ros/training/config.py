@@ -1,0 +1,162 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of a training run; `config/train.yaml` is dumped from these classes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hybridreg_ros.core.config import option, validate
+
+
+@dataclass(frozen=True)
+class AugmentConfig:
+    """What is done to a pair before the network sees it."""
+
+    any_rotation_share: float = option(
+        0.5, 'share of pairs whose two clouds both get the same rotation, any', low=0.0, high=1.0
+    )
+    common_rotation_rad: float = option(
+        0.2, 'rotation of both clouds of the others, standard deviation per axis, rad', low=0.0
+    )
+    relative_rotation_rad: float = option(
+        0.2, 'extra rotation of one cloud, standard deviation per axis, rad', low=0.0, high=3.2
+    )
+    large_share: float = option(
+        0.15, 'share of pairs with a large relative rotation instead', low=0.0, high=1.0
+    )
+    large_rotation_deg: float = option(
+        60.0, 'largest such rotation, degrees, about a random axis', low=0.0, high=180.0
+    )
+    scale_jitter: float = option(
+        0.1, 'both clouds are scaled by up to this share, uniform', low=0.0, high=0.5
+    )
+    noise_voxels: float = option(
+        0.15, 'largest standard deviation of point noise, finest voxels', low=0.0, high=1.0
+    )
+    depth_noise: float = option(
+        0.004, 'largest standard deviation of noise along the ray, share of the range', low=0.0,
+        high=0.1,
+    )  # fmt: skip
+    thin_share: float = option(
+        0.3, 'share of clouds from which random points are taken away', low=0.0, high=1.0
+    )
+    thin_keep: float = option(0.3, 'smallest share of points kept by that', low=0.05, high=1.0)
+    crop_share: float = option(
+        0.2, 'share of clouds that lose everything beyond a random plane', low=0.0, high=1.0
+    )
+    crop_keep: float = option(0.7, 'smallest share of points kept by that', low=0.1, high=1.0)
+    hole_share: float = option(
+        0.2, 'share of clouds with one occluded cone of view', low=0.0, high=1.0
+    )
+    hole_angle_deg: float = option(
+        15.0, 'largest half opening angle of that cone, degrees', low=0.0, high=60.0
+    )
+
+    def __post_init__(self) -> None:
+        """Check ranges.
+
+        Raises:
+            ConfigError: a value is out of its range.
+        """
+        validate(self)
+
+
+@dataclass(frozen=True)
+class LossConfig:
+    """Which loss terms count, and how much."""
+
+    coarse: str = option(
+        'cross_entropy',
+        'superpoint loss',
+        choices=('cross_entropy', 'circle', 'both'),
+    )
+    coarse_weight: float = option(0.5, 'weight of the superpoint cross-entropy', low=0.0)
+    circle_weight: float = option(1.0, 'weight of the superpoint circle loss', low=0.0)
+    temperature: float = option(0.07, 'of the superpoint cross-entropy', low=0.005, high=1.0)
+    fine_weight: float = option(1.0, 'weight of the point matching loss', low=0.0)
+    descriptor_weight: float = option(
+        0.05, 'weight of the InfoNCE loss of fine points over the whole cloud', low=0.0
+    )
+    mask: str = option(
+        'bce',
+        "mask loss: balanced BCE, L1, Laplace NLL per pair, or the paper's log-sum-exp form",
+        choices=('none', 'bce', 'l1', 'nll', 'log_sum_exp'),
+    )
+    mask_weight: float = option(0.5, 'weight of the mask loss', low=0.0)
+    mask_stop_gradient: bool = option(
+        True, 'keep the Laplace forms from shaping the features (only the mask head learns)'
+    )
+    positive_overlap: float = option(
+        0.1, 'overlap above which two superpoints are a positive', low=0.0, high=1.0
+    )
+    match_radius_voxels: float = option(
+        1.5, 'fine points closer than this are matches, finest voxels', low=0.1, high=10.0
+    )
+    max_patch_pairs: int = option(64, 'patch pairs per pair in the point loss', low=1, high=1024)
+    max_anchors: int = option(256, 'anchors per pair in the InfoNCE loss', low=1, high=4096)
+
+    def __post_init__(self) -> None:
+        """Check ranges.
+
+        Raises:
+            ConfigError: a value is out of its range.
+        """
+        validate(self)
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """A training run."""
+
+    profile: str = option('compact', 'network profile', choices=('compact', 'paper'))
+    data: tuple[str, ...] = option(
+        ('data/train',), 'folders of training shards; new shards are picked up while running'
+    )
+    shares: tuple[float, ...] = option(
+        (), 'share of samples drawn from each folder; empty = by number of pairs', low=0.0
+    )
+    validation: tuple[str, ...] = option(('data/val',), 'folders of validation shards')
+    out: str = option('runs/compact', 'folder of the run: checkpoints, log.csv, validation.csv')
+    start_weights: str = option('', 'weights to start from, with a fresh optimiser; empty = none')
+    steps: int = option(40_000, 'optimiser steps', low=1)
+    max_hours: float = option(
+        0.0, 'wall-clock limit; the schedule ends with whichever comes first; 0 = none', low=0.0
+    )
+    seed: int = option(0, 'seed of weights, samples and augmentation', low=0, high=8_999_999)
+    optimizer: str = option('adamw', 'optimiser', choices=('adamw', 'muon'))
+    lr: float = option(4e-4, 'largest learning rate of AdamW', low=0.0, high=1.0)
+    muon_lr: float = option(
+        0.02, 'largest learning rate of Muon for the matrices (the rest: AdamW)', low=0.0, high=1.0
+    )
+    weight_decay: float = option(1e-4, 'decoupled weight decay', low=0.0, high=1.0)
+    warmup: float = option(0.03, 'share of the run with a rising learning rate', low=0.0, high=0.9)
+    final_lr: float = option(0.01, 'share of the learning rate left at the end', low=0.0, high=1.0)
+    clip: float = option(1.0, 'largest gradient norm', low=0.0)
+    accumulate: int = option(1, 'pairs per optimiser step and process', low=1, high=1024)
+    ema: float = option(
+        0.999, 'decay of the averaged weights that are validated and kept; 0 = off', low=0.0,
+        high=0.99999,
+    )  # fmt: skip
+    curriculum_pairs: int = option(
+        2000, 'pairs over which the smallest overlap drawn falls from 0.4 to nothing', low=0
+    )
+    max_points: int = option(
+        4000, 'finest-level points per cloud in training; more are thinned', low=500
+    )
+    workers: int = option(1, 'prefetching processes per trainer', low=0, high=64)
+    device: str = option('cpu', 'torch device of the trainer')
+    validate_every: int = option(600, 'steps between validations', low=1)
+    validation_pairs: int = option(72, 'validation pairs used', low=1)
+    checkpoint_minutes: float = option(3.0, 'time between checkpoints', low=0.0)
+    log_every: int = option(20, 'steps averaged in a line of log.csv', low=1)
+    loss: LossConfig = option(LossConfig, 'loss terms')
+    augment: AugmentConfig = option(AugmentConfig, 'augmentation')
+
+    def __post_init__(self) -> None:
+        """Check ranges.
+
+        Raises:
+            ConfigError: a value is out of its range.
+        """
+        validate(self)

@@ -1,0 +1,205 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Samples: pairs from growing shard folders, augmented, with pyramids and labels.
+
+Everything here runs in a data worker, so that a training step only does what learning needs.
+Sample number i of a run depends on the seed, i and the shards present, on nothing else.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import logging
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from torch.utils.data import DataLoader, IterableDataset, get_worker_info
+
+from hybridreg_ros.core.errors import RegistrationError
+from hybridreg_ros.data.pair import Label
+from hybridreg_ros.model.pyramid import Pyramid, build_pyramid, voxel_transform
+from hybridreg_ros.training.augment import augment
+from hybridreg_ros.training.labels import PairLabels, Patches, pair_labels
+from hybridreg_ros.training.sources import ShardSource
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from hybridreg_ros.data.pair import PointPair
+    from hybridreg_ros.model.config import ModelConfig
+    from hybridreg_ros.training.config import LossConfig, TrainConfig
+
+CURRICULUM_OVERLAP = 0.4
+CURRICULUM_TRIES = 20
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One pair, ready for a step.
+
+    Attributes:
+        pair: the (augmented) pair; point arrays are empty when only learning needs it.
+        source: pyramid of the source.
+        target: pyramid of the target.
+        labels: what is right; its arrays are torch tensors of the same shapes.
+    """
+
+    pair: PointPair
+    source: Pyramid
+    target: Pyramid
+    labels: PairLabels
+
+
+def prepare(
+    pair: PointPair, model: ModelConfig, loss: LossConfig, rng: np.random.Generator
+) -> Sample:
+    """Pyramids and labels of a pair.
+
+    Args:
+        pair: metres.
+        model: sizes of the network.
+        loss: radii and limits of the labels.
+        rng: draws patch pairs and anchors.
+
+    Raises:
+        RegistrationError: a cloud has too few points.
+    """
+    source = build_pyramid(pair.source, pair.voxel_size_m, model)
+    target = build_pyramid(pair.target, pair.voxel_size_m, model)
+    labels = pair_labels(
+        patches_of(source, pair.source_label),
+        patches_of(target, pair.target_label),
+        voxel_transform(pair.T_target_source, source, target),
+        radius=loss.match_radius_voxels,
+        rng=rng,
+        positive=loss.positive_overlap,
+        max_pairs=loss.max_patch_pairs,
+        max_anchors=loss.max_anchors if loss.descriptor_weight > 0.0 else 0,
+    )
+    return Sample(pair, source, target, _as_tensors(labels))
+
+
+def patches_of(pyramid: Pyramid, label: NDArray[np.uint8]) -> Patches:
+    """Fine points, their static flags and the patches of a cloud; label: (N,) per input point."""
+    cell = pyramid.input_to_level0.astype(np.int64)
+    share = _cell_mean(cell, label == Label.STATIC, len(pyramid.levels[0].points))
+    for level, above in itertools.pairwise(pyramid.levels[: pyramid.fine_level + 1]):
+        assert level.up_index is not None
+        share = _cell_mean(level.up_index.numpy(), share, len(above.points))
+    return Patches(pyramid.fine_points.numpy(), share > 0.5, pyramid.patch_index.numpy())
+
+
+def _cell_mean(cell: NDArray[np.int64], value: NDArray[Any], size: int) -> NDArray[np.float64]:
+    """Mean (size,) of the values (N,) that fall into each cell; 0 for empty cells, -1 is none."""
+    used = cell >= 0
+    count = np.bincount(cell[used], minlength=size)
+    total = np.bincount(cell[used], weights=value[used].astype(np.float64), minlength=size)
+    return total / np.maximum(count, 1)
+
+
+def _as_tensors(labels: PairLabels) -> PairLabels:
+    values: dict[str, Any] = {
+        f.name: torch.from_numpy(np.ascontiguousarray(getattr(labels, f.name)))
+        for f in dataclasses.fields(labels)
+    }
+    return PairLabels(**values)
+
+
+def to_device(value: Any, device: str) -> Any:
+    """The same nested dataclasses and tuples with every tensor on a device."""
+    if device == 'cpu':
+        return value
+    if isinstance(value, torch.Tensor):
+        return value.to(device, non_blocking=True)
+    if isinstance(value, tuple):
+        return tuple(to_device(v, device) for v in value)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        moved = {
+            f.name: to_device(getattr(value, f.name), device) for f in dataclasses.fields(value)
+        }
+        return dataclasses.replace(value, **moved)
+    return value
+
+
+class SampleStream(IterableDataset[Sample]):
+    """Endless training samples of one process of a run."""
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        model: ModelConfig,
+        *,
+        start: int = 0,
+        rank: int = 0,
+        world: int = 1,
+    ) -> None:
+        self._config = config
+        self._model = dataclasses.replace(model, max_points=config.max_points)
+        self._start, self._rank, self._world = start, rank, world
+
+    def __iter__(self) -> Iterator[Sample]:
+        """Samples `start`, `start + 1`, ... of this process (every n-th in worker n)."""
+        torch.set_num_threads(1)
+        info = get_worker_info()
+        first, stride = (0, 1) if info is None else (info.id, info.num_workers)
+        source = ShardSource(self._config.data, self._config.shares)
+        for index in itertools.count(self._start + first, stride):
+            yield self.sample(source, index * self._world + self._rank)
+
+    def sample(self, source: ShardSource, number: int) -> Sample:
+        """Sample of a number; a pair that cannot be used is replaced by the next draw."""
+        rng = np.random.default_rng([self._config.seed, number])
+        while True:
+            pair = self._draw(source, number, rng)
+            pair = augment(pair, self._config.augment, rng)
+            try:
+                made = prepare(pair, self._model, self._config.loss, rng)
+            except RegistrationError as error:
+                _LOG.warning('pair %s left out: %s', pair.name, error)
+                continue
+            return dataclasses.replace(made, pair=_without_points(pair))
+
+    def _draw(self, source: ShardSource, number: int, rng: np.random.Generator) -> PointPair:
+        """A random pair; early in a run those with much overlap only (as far as there are any)."""
+        late = number / max(self._config.curriculum_pairs, 1)
+        smallest = CURRICULUM_OVERLAP * max(0.0, 1.0 - late)
+        for _ in range(CURRICULUM_TRIES):
+            pair = source.draw(rng)
+            if pair.overlap >= smallest:
+                break
+        return pair
+
+
+def _without_points(pair: PointPair) -> PointPair:
+    return dataclasses.replace(
+        pair,
+        source=pair.source[:0],
+        target=pair.target[:0],
+        source_label=pair.source_label[:0],
+        target_label=pair.target_label[:0],
+        source_instance=pair.source_instance[:0],
+        target_instance=pair.target_instance[:0],
+    )
+
+
+def _alone(sample: Any) -> Any:
+    return sample
+
+
+def loader(stream: SampleStream, workers: int) -> Iterator[Sample]:
+    """Samples of a stream, in order, prefetched by worker processes (0 = in this process)."""
+    return iter(
+        DataLoader(
+            stream,
+            batch_size=None,
+            collate_fn=_alone,
+            num_workers=workers,
+            prefetch_factor=6 if workers else None,
+        )
+    )

@@ -1,0 +1,128 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Forward pass of one sample and its weighted losses."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from hybridreg_ros.training import losses
+
+if TYPE_CHECKING:
+    from hybridreg_ros.model.network import Encoding, HybridRegNet, SuperpointOutput
+    from hybridreg_ros.training.config import LossConfig
+    from hybridreg_ros.training.labels import PairLabels
+    from hybridreg_ros.training.samples import Sample
+
+STATIC_SHARE = 0.5
+
+
+class LossTerms(NamedTuple):
+    """Loss terms of a pair before weighting, and their weighted sum.
+
+    Attributes:
+        total: scalar, to be differentiated.
+        coarse: superpoint matching.
+        fine: point matching.
+        descriptor: InfoNCE over the whole cloud.
+        mask: uncertainty mask.
+    """
+
+    total: Tensor
+    coarse: Tensor
+    fine: Tensor
+    descriptor: Tensor
+    mask: Tensor
+
+
+def pair_losses(network: HybridRegNet, sample: Sample, config: LossConfig) -> LossTerms:
+    """All losses of one sample; terms with weight 0 are not computed."""
+    source, target = network.encode(sample.source), network.encode(sample.target)
+    coarse_out = network.correlate(source, target)
+    labels = sample.labels
+    zero = coarse_out.source_features.sum() * 0.0
+    coarse = coarse_loss(coarse_out, labels, config)
+    fine = zero
+    if config.fine_weight > 0.0 and len(labels.pair_source):
+        pairs = torch.stack([as_tensor(labels.pair_source), as_tensor(labels.pair_target)], dim=1)
+        scores = network.patch_scores(source, target, pairs)
+        valid = torch.ones(len(pairs), dtype=torch.bool, device=pairs.device)
+        fine = losses.point_matching_loss(scores.log_assignment, as_tensor(labels.fine), valid)
+    descriptor = zero
+    if config.descriptor_weight > 0.0:
+        descriptor = fine_descriptor_loss(source, target, labels)
+    mask = mask_loss(coarse_out, labels, config) if config.mask != 'none' else zero
+    total = (
+        coarse
+        + config.fine_weight * fine
+        + config.descriptor_weight * descriptor
+        + config.mask_weight * mask
+    )
+    return LossTerms(total, coarse, fine, descriptor, mask)
+
+
+def as_tensor(value: object) -> Tensor:
+    """The tensor that a prepared sample holds in place of an array."""
+    assert isinstance(value, Tensor)
+    return value
+
+
+def coarse_loss(output: SuperpointOutput, labels: PairLabels, config: LossConfig) -> Tensor:
+    """Weighted superpoint losses: cross-entropy, circle loss, or both."""
+    similarity = output.source_features @ output.target_features.T
+    overlap = as_tensor(labels.overlap)
+    total = similarity.sum() * 0.0
+    if config.coarse != 'circle':
+        total = total + config.coarse_weight * losses.overlap_cross_entropy(
+            similarity, overlap, config.temperature, config.positive_overlap
+        )
+    if config.coarse != 'cross_entropy':
+        total = total + config.circle_weight * losses.overlap_circle_loss(
+            similarity, overlap, positive=config.positive_overlap
+        )
+    return total
+
+
+def fine_descriptor_loss(source: Encoding, target: Encoding, labels: PairLabels) -> Tensor:
+    """InfoNCE of the anchors."""
+    anchors = as_tensor(labels.anchors)
+    f = F.normalize(source.fine_features[anchors[:, 0]], dim=1)
+    g = F.normalize(target.fine_features[anchors[:, 1]], dim=1)
+    return losses.descriptor_loss(f, g, as_tensor(labels.near))
+
+
+def mask_loss(output: SuperpointOutput, labels: PairLabels, config: LossConfig) -> Tensor:
+    """The mask loss that the config names, mean of both clouds."""
+    if config.mask in ('nll', 'log_sum_exp'):
+        correlation = torch.exp(2.0 * output.source_features @ output.target_features.T - 2.0)
+        overlaps = as_tensor(labels.overlap) > config.positive_overlap
+        log_variance = losses.pair_log_variance(output.source_sigma2, output.target_sigma2)
+        form = losses.laplace_nll if config.mask == 'nll' else losses.laplace_log_sum_exp
+        return form(correlation, overlaps, log_variance, stop_gradient=config.mask_stop_gradient)
+    sides = (
+        (output.source_logits, output.source_sigma2, labels.source_trusted, labels.source_static),
+        (output.target_logits, output.target_sigma2, labels.target_trusted, labels.target_static),
+    )
+    terms = []
+    for logits, sigma2, trusted, static in sides:
+        if config.mask == 'l1':
+            terms.append(losses.mask_l1(sigma2, as_tensor(trusted)))
+        else:
+            terms.append(_side_bce(logits, as_tensor(trusted), as_tensor(static)))
+    return torch.stack(terms).mean()
+
+
+def _side_bce(logits: Tensor, trusted: Tensor, static: Tensor) -> Tensor:
+    """BCE of one cloud's logits (S, 1) of P(trusted), or (S, 2) of P(static), P(seen | static)."""
+    if logits.shape[1] == 1:
+        return losses.mask_bce(-logits[:, 0], trusted)
+    loss = losses.mask_bce(-logits[:, 0], static)
+    on = static >= STATIC_SHARE
+    if bool(on.any()):
+        seen = (trusted[on] / static[on]).clamp(0.0, 1.0)
+        loss = loss + losses.mask_bce(-logits[on, 1], seen)
+    return loss

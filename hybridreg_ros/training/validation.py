@@ -1,0 +1,201 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Scoring a network on held-out pairs while it trains, and one pair's score in detail."""
+
+from __future__ import annotations
+
+import re
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+import torch.distributed as dist
+from scipy.spatial import cKDTree
+
+from hybridreg_ros.core import se3
+from hybridreg_ros.data.pair import Label
+from hybridreg_ros.metrics import registration
+from hybridreg_ros.model.refine import Surface
+from hybridreg_ros.model.register import EncodedCloud, HybridReg
+from hybridreg_ros.model.superpoints import select_pairs
+from hybridreg_ros.training.report import (
+    INDOOR_THRESHOLD_M,
+    INDOOR_VOXEL_M,
+    OUTDOOR_THRESHOLD_M,
+    EvalReport,
+    PairScore,
+)
+from hybridreg_ros.training.samples import Sample, prepare, to_device
+from hybridreg_ros.training.sources import held_out_pairs
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hybridreg_ros.data.pair import PointPair
+    from hybridreg_ros.model.config import ModelConfig
+    from hybridreg_ros.model.network import HybridRegNet, SuperpointOutput
+    from hybridreg_ros.model.register import RegistrationResult
+    from hybridreg_ros.training.config import TrainConfig
+
+MATCH_VOXELS = 1.5
+SCORED_POINTS = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """Scores of one validation.
+
+    Attributes:
+        report: one score per pair.
+    """
+
+    report: EvalReport
+
+    @property
+    def selection(self) -> float:
+        """What the best weights are chosen by: mean RR before and after the refinement."""
+        return 0.5 * (self.report.recall() + self.report.recall(coarse=True))
+
+    def row(self) -> dict[str, Any]:
+        """Numbers for validation.csv."""
+        last = self.report.rows()[-1]
+        by_split = {
+            f'RR_{row["split"]}': row['RR'] for row in self.report.rows() if row['split'] != 'all'
+        }
+        return {k: v for k, v in last.items() if k not in ('split', 'ECE')} | by_split
+
+
+class ValidationSet:
+    """Held-out pairs with their pyramids, built once."""
+
+    def __init__(
+        self, config: TrainConfig, model: ModelConfig, rank: int = 0, world: int = 1
+    ) -> None:
+        self._config, self._model = config, model
+        self._rank, self._world = rank, world
+        self._held_out: list[HeldOut] | None = None
+
+    def score(self, network: HybridRegNet) -> Validation:
+        """Score a network; the pairs are shared out over the processes of the run."""
+        model = HybridReg(network.config, network)
+        own = [pair_score(model, held, self._config.device) for held in self.held_out()]
+        everything: list[list[PairScore]] = [own]
+        if self._world > 1:
+            everything = [[] for _ in range(self._world)]
+            dist.all_gather_object(everything, own)
+        scores = sorted((s for part in everything for s in part), key=lambda s: s.name)
+        return Validation(EvalReport('network', tuple(scores)))
+
+    def held_out(self) -> list[HeldOut]:
+        """This process's share of the validation pairs."""
+        if self._held_out is None:
+            c = self._config
+            pairs = held_out_pairs(c.validation, c.validation_pairs)[self._rank :: self._world]
+            rng = np.random.default_rng(0)
+            self._held_out = [HeldOut.of(prepare(p, self._model, c.loss, rng)) for p in pairs]
+        return self._held_out
+
+
+def threshold_m(voxel_size_m: float) -> float:
+    """RMSE below which a pair of this sensor counts as registered."""
+    return INDOOR_THRESHOLD_M if voxel_size_m < INDOOR_VOXEL_M else OUTDOOR_THRESHOLD_M
+
+
+def overlap_points(pair: PointPair, seed: int = 0) -> NDArray[np.float32]:
+    """At most 2,000 static source points that have a static counterpart in the target, (K, 3)."""
+    static = pair.source[pair.source_label == Label.STATIC]
+    if len(static) > SCORED_POINTS:
+        keep = np.random.default_rng(seed).choice(len(static), SCORED_POINTS, replace=False)
+        static = static[keep]
+    tree = cKDTree(pair.target[pair.target_label == Label.STATIC], balanced_tree=False)
+    distance, _ = tree.query(
+        se3.apply(pair.T_target_source, static),
+        distance_upper_bound=MATCH_VOXELS * pair.voxel_size_m,
+    )
+    seen: NDArray[np.float32] = static[np.isfinite(distance)]
+    return seen
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """A sample and the surfaces of its clouds, built once for many validations."""
+
+    sample: Sample
+    surfaces: tuple[Surface, Surface]
+
+    @classmethod
+    def of(cls, sample: Sample) -> HeldOut:
+        """Prepare the surfaces of a sample."""
+        clouds = (sample.source, sample.target)
+        made = [Surface.build(c.levels[0].points.numpy()) for c in clouds]
+        return cls(sample, (made[0], made[1]))
+
+
+def pair_score(model: HybridReg, held: HeldOut, device: str = 'cpu') -> PairScore:
+    """Register one pair as users do and score the network's own pose and the refined one."""
+    sample = held.sample
+    began = time.perf_counter()
+    with torch.inference_mode():
+        encoded = [
+            EncodedCloud(model.net.encode(to_device(pyramid, device)), surface, 0, 0.0)
+            for pyramid, surface in zip((sample.source, sample.target), held.surfaces, strict=True)
+        ]
+    result = model.match(encoded[0], encoded[1])
+    seconds = time.perf_counter() - began
+    with torch.inference_mode():
+        coarse = model.net.correlate(encoded[0].encoding, encoded[1].encoding)
+    return score_of(sample, result, coarse, model.net.config, seconds)
+
+
+def score_of(
+    sample: Sample,
+    result: RegistrationResult,
+    coarse: SuperpointOutput,
+    config: ModelConfig,
+    seconds: float,
+) -> PairScore:
+    """Score of one registration."""
+    pair, T = sample.pair, sample.pair.T_target_source
+    points = overlap_points(pair)
+    matches = result.correspondences
+    sigma2 = coarse.source_sigma2, coarse.target_sigma2
+    chosen = select_pairs(coarse.source_features, coarse.target_features, *sigma2, config)
+    return PairScore(
+        name=pair.name,
+        split=split_of(pair),
+        overlap=float(pair.overlap),
+        dynamic_share=float(pair.dynamic_share),
+        threshold_m=threshold_m(pair.voxel_size_m),
+        rmse_m=registration.rmse_m(T, result.T_target_source, points),
+        rre_deg=registration.rotation_error_deg(T, result.T_target_source),
+        rte_m=registration.translation_error_m(T, result.T_target_source),
+        coarse_rmse_m=registration.rmse_m(T, result.T_lgr, points),
+        inlier_ratio=registration.inlier_ratio(
+            T, matches.source, matches.target, 2.0 * pair.voxel_size_m
+        ),
+        coarse_precision=registration.coarse_precision(
+            np.asarray(sample.labels.overlap), *chosen.index.cpu().numpy().T
+        ),
+        mask_auc=mask_auc(sample, sigma2),
+        confidence=result.confidence,
+        seconds=seconds,
+        features=tuple(float(f) for f in result.features.vector()),
+    )
+
+
+def mask_auc(sample: Sample, sigma2: tuple[torch.Tensor, torch.Tensor]) -> float:
+    """AUC of 1 - sigma2 against 'static and seen by the other cloud', both clouds together."""
+    trusted = np.concatenate(
+        [np.asarray(sample.labels.source_trusted), np.asarray(sample.labels.target_trusted)]
+    )
+    return registration.roc_auc(trusted > 0.5, 1.0 - torch.cat(sigma2).cpu().numpy())
+
+
+def split_of(pair: PointPair) -> str:
+    """Row of the tables of a pair: its name without seed and number, or its folder."""
+    seeded = re.fullmatch(r'(.+?)-\d{6,}(-\d+)?', pair.name)
+    if seeded:
+        return seeded.group(1)
+    return pair.name.rsplit('-', 1)[0] or 'pairs'

@@ -1,0 +1,107 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""The command line itself: help is immediate, mistakes are one line, every result has --json."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import time
+
+import pytest
+import yaml
+
+from hybridreg_ros.cli.arguments import build_parser
+from hybridreg_ros.cli.main import main
+
+COMMANDS = (
+    'register', 'convert', 'simulate', 'replay', 'score', 'generate', 'train', 'evaluate',
+    'bench', 'dump-config', 'demo',
+)  # fmt: skip
+
+
+def test_help_is_immediate() -> None:
+    """The parser costs less than 0.2 s of processor time over a bare interpreter."""
+    code = (
+        'import time; t = time.process_time(); from hybridreg_ros.cli.main import main;'
+        'main(["--help"]); import sys; print(time.process_time() - t, file=sys.stderr)'
+    )
+    times = []
+    for _ in range(3):
+        done = subprocess.run(
+            [sys.executable, '-c', code], capture_output=True, text=True, check=True
+        )
+        times.append(float(done.stderr))
+        assert all(f'    {name}' in done.stdout for name in COMMANDS)
+    assert min(times) < 0.2, times
+    started = time.perf_counter()
+    subprocess.run([sys.executable, '-m', 'hybridreg_ros.cli.main', '-h'], check=True,
+                   stdout=subprocess.DEVNULL)  # fmt: skip
+    assert time.perf_counter() - started < 3.0
+
+
+@pytest.mark.parametrize('name', COMMANDS)
+def test_every_command_has_help_and_json(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([name, '--help']) == 0
+    text = capsys.readouterr().out
+    assert '--json FILE' in text
+    assert f'hybridreg {name}' in text
+
+
+@pytest.mark.parametrize(
+    'arguments',
+    [
+        [],
+        ['fly'],
+        ['replay'],
+        ['replay', 'a.mcap', '--registrar', 'magic'],
+        ['replay', 'a.mcap', '--stride', 'x'],
+        ['replay', 'a.mcap', '--domain-id', '400'],
+        ['convert', 'nuscenes', '.', '--out', 'x'],
+        ['simulate', '--scene', 'room'],
+        ['generate', 'room-match-rigid', '--pairs', '0', '--out', 'x'],
+    ],
+)
+def test_wrong_command_lines(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) == 2
+    captured = capsys.readouterr()
+    assert len(captured.err.splitlines()) == 1
+    assert re.match(r'hybridreg.*: error: .*--help\)', captured.err)
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['--version']) == 0
+    assert re.fullmatch(r'hybridreg \d+\.\d+\.\d+\n', capsys.readouterr().out)
+
+
+def test_dump_config_is_read_back(capsys: pytest.CaptureFixture[str], tmp_path: object) -> None:
+    from pathlib import Path
+
+    assert isinstance(tmp_path, Path)
+    assert main(['dump-config', '--json', str(tmp_path / 'c.json')]) == 0
+    text = capsys.readouterr().out
+    assert yaml.safe_load(text)['registrar'] == 'hybridreg'
+    assert '# ' in text
+    (tmp_path / 'a.yaml').write_text(text.replace('registrar: hybridreg', 'registrar: kiss-icp'))
+    arguments = ['dump-config', '--config', str(tmp_path / 'a.yaml')]
+    assert main([*arguments, '--out', str(tmp_path / 'deep' / 'b.yaml')]) == 0
+    assert yaml.safe_load((tmp_path / 'deep' / 'b.yaml').read_text())['registrar'] == 'kiss-icp'
+
+
+def test_unwritable_output_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['dump-config', '--out', '/proc/nowhere/c.yaml']) == 2
+    error = capsys.readouterr().err
+    assert error.startswith('hybridreg: error: ')
+    assert len(error.splitlines()) == 1
+
+
+def test_parser_knows_every_body() -> None:
+    import importlib.util
+
+    parser = build_parser()
+    choices = next(a.choices for a in parser._actions if isinstance(a.choices, dict))
+    assert set(choices) == set(COMMANDS)
+    for command in choices.values():
+        body = command.get_default('body')
+        assert importlib.util.find_spec(f'hybridreg_ros.cli.{body}'), body

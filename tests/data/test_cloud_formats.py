@@ -1,0 +1,154 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Cloud files of every format, written byte by byte here: exact values and one-line errors."""
+
+from __future__ import annotations
+
+import doctest
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from hybridreg_ros.core.errors import FileFormatError
+from hybridreg_ros.data import clouds_lzf
+from hybridreg_ros.data.clouds import read_cloud
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+
+def cloud(n: int = 50) -> NDArray[np.float32]:
+    return np.random.default_rng(2).normal(0, 5, (n, 3)).astype(np.float32)
+
+
+def write_npy(path: Path, points: NDArray[np.float32]) -> None:
+    np.save(path, points)
+
+
+def write_npz(path: Path, points: NDArray[np.float32]) -> None:
+    np.savez(path, points=points, other=np.zeros(3))
+
+
+def write_bin(path: Path, points: NDArray[np.float32]) -> None:
+    np.hstack([points, np.ones((len(points), 1), np.float32)]).tofile(path)
+
+
+def write_ply(path: Path, points: NDArray[np.float32], kind: str = 'ascii') -> None:
+    header = (
+        f'ply\nformat {kind} 1.0\ncomment test\nelement vertex {len(points)}\n'
+        'property uchar red\nproperty float x\nproperty float y\nproperty double z\n'
+        'element face 1\nproperty list uchar int vertex_indices\nend_header\n'
+    )
+    if kind == 'ascii':
+        body = ''.join(f'7 {x!r} {y!r} {z!r}\n' for x, y, z in points.astype(float).tolist())
+        path.write_text(header + body + '3 0 1 2\n')
+        return
+    order = '<' if 'little' in kind else '>'
+    table = np.zeros(
+        len(points), [('r', 'u1'), ('x', f'{order}f4'), ('y', f'{order}f4'), ('z', f'{order}f8')]
+    )
+    table['x'], table['y'], table['z'] = points.T
+    path.write_bytes(header.encode() + table.tobytes() + b'\x03' + bytes(12))
+
+
+def write_pcd(path: Path, points: NDArray[np.float32], kind: str = 'ascii') -> None:
+    header = (
+        '# .PCD v0.7\nVERSION 0.7\nFIELDS x y z _ normal _\nSIZE 4 4 4 1 4 1\nTYPE F F F U F U\n'
+        f'COUNT 1 1 1 4 3 2\nWIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n'
+        f'POINTS {len(points)}\nDATA {kind}\n'
+    )
+    columns = [points[:, :1], points[:, 1:2], points[:, 2:]]
+    extra = [np.zeros((len(points), 4), 'u1'), np.ones((len(points), 3), 'f4')]
+    fields = [*columns, *extra, np.zeros((len(points), 2), 'u1')]
+    if kind == 'ascii':
+        rows = np.hstack([f.astype(float) for f in fields]).tolist()
+        path.write_text(header + '\n'.join(' '.join(f'{v!r}' for v in row) for row in rows))
+    elif kind == 'binary':
+        rows = b''.join(f[i].tobytes() for i in range(len(points)) for f in fields)
+        path.write_bytes(header.encode() + rows)
+    else:
+        plain = b''.join(np.ascontiguousarray(f).tobytes() for f in fields)
+        packed = b''.join(
+            bytes([len(plain[i : i + 32]) - 1]) + plain[i : i + 32]
+            for i in range(0, len(plain), 32)
+        )
+        sizes = np.array([len(packed), len(plain)], '<u4').tobytes()
+        path.write_bytes(header.encode() + sizes + packed)
+
+
+@pytest.mark.parametrize(
+    ('name', 'write'),
+    [
+        ('a.npy', write_npy),
+        ('a.npz', write_npz),
+        ('a.bin', write_bin),
+        ('a.ply', write_ply),
+        ('l.ply', lambda p, c: write_ply(p, c, 'binary_little_endian')),
+        ('b.ply', lambda p, c: write_ply(p, c, 'binary_big_endian')),
+        ('a.pcd', write_pcd),
+        ('b.pcd', lambda p, c: write_pcd(p, c, 'binary')),
+        ('c.PCD', lambda p, c: write_pcd(p, c, 'binary_compressed')),
+    ],
+)
+def test_cloud_formats(
+    tmp_path: Path, name: str, write: Callable[[Path, NDArray[np.float32]], None]
+) -> None:
+    write(tmp_path / name, cloud())
+    loaded = read_cloud(tmp_path / name)
+    assert loaded.dtype == np.float32
+    assert np.array_equal(loaded, cloud())
+    if name not in ('a.npy', 'a.npz'):
+        data = (tmp_path / name).read_bytes()
+        (tmp_path / name).write_bytes(data[: len(data) // 2 - 1])
+        with pytest.raises(FileFormatError, match='is not a readable'):
+            read_cloud(tmp_path / name)
+
+
+def test_bad_clouds(tmp_path: Path) -> None:
+    cases: dict[str, tuple[bytes, str]] = {
+        'a.xyz': (b'', r'expected one of \.npy'),
+        'a.npy': (b'no array', 'is not a readable .npy'),
+        'a.npz': (b'no archive', 'is not a readable .npz'),
+        'a.bin': (b'12345', r'5 bytes are not a multiple of 16'),
+        'a.ply': (b'play', 'does not begin with "ply"'),
+        'b.ply': (b'ply\nformat ascii 1.0\n', 'no end_header line'),
+        'c.ply': (b'ply\nformat ascii 1.0\nelement face 1\nend_header\n', 'stands before vertex'),
+        'd.ply': (
+            b'ply\nformat binary_little_endian 1.0\nelement vertex 0\nproperty float x\n'
+            b'end_header\n', 'no field y, z; found x',
+        ),
+        'a.pcd': (b'VERSION 0.7\n', 'no DATA line'),
+        'b.pcd': (b'FIELDS x\nSIZE 4\nTYPE F\nPOINTS 0\nDATA packed\n', 'unknown DATA packed'),
+    }  # fmt: skip
+    for name, (data, text) in cases.items():
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(FileFormatError, match=text):
+            read_cloud(tmp_path / name)
+    with pytest.raises(FileFormatError, match=r'cannot read cloud .*No such file'):
+        read_cloud(tmp_path / 'gone.ply')
+    np.save(tmp_path / 'flat.npy', np.zeros(9))
+    with pytest.raises(FileFormatError, match=r'expected numbers of shape \(N, 3\)'):
+        read_cloud(tmp_path / 'flat.npy')
+    np.savez(tmp_path / 'names.npz', a=np.zeros((1, 3)))
+    with pytest.raises(FileFormatError, match=r'no array named points.*found a'):
+        read_cloud(tmp_path / 'names.npz')
+    np.save(tmp_path / 'object.npy', np.array([{'a': 1}], dtype=object), allow_pickle=True)
+    with pytest.raises(FileFormatError, match='allow_pickle=False'):
+        read_cloud(tmp_path / 'object.npy')
+
+
+def test_lzf() -> None:
+    assert doctest.testmod(clouds_lzf).failed == 0
+    # literal 'ab', then 2 + 7 + 3 bytes from 2 back
+    assert clouds_lzf.decompress(bytes([1, 97, 98, 0xE0, 3, 1]), 14) == b'ab' * 7
+    for packed, text in (
+        (bytes([0x80]), 'cut off'),
+        (bytes([0x80, 2]), 'before their beginning'),
+        (bytes([0, 97]), 'hold 1 bytes, expected 5'),
+    ):
+        with pytest.raises(ValueError, match=text):
+            clouds_lzf.decompress(packed, 5)

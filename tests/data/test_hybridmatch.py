@@ -1,0 +1,223 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Pairs: the same bytes for the same seed, labels that are right, overlap that is measured."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from hybridreg_ros.core.errors import ConfigError
+from hybridreg_ros.core.se3 import apply
+from hybridreg_ros.data import streets_pairs
+from hybridreg_ros.data.hybridmatch import (
+    SPLITS,
+    cell_of,
+    make_pair,
+    make_pairs,
+    make_samples,
+    parse_split,
+    scene_of,
+)
+from hybridreg_ros.data.hybridmatch_world import make_world
+from hybridreg_ros.data.shards import encode_pair
+
+if TYPE_CHECKING:
+    from hybridreg_ros.data.hybridmatch_take import Sample
+    from hybridreg_ros.data.pair import PointPair
+
+SEED = 8_990_000
+ROOM_SPLITS = [s for s in SPLITS if s.startswith('room')]
+
+
+@cache
+def some(split: str, still: bool = False, scenes: int = 1) -> tuple[Sample, ...]:
+    """Samples of the first scenes that give any."""
+    found: list[Sample] = []
+    for seed in range(SEED, SEED + 60):
+        made = make_samples(split, seed, count=2, still=still)
+        found += made
+        scenes -= bool(made)
+        if scenes == 0:
+            return tuple(found)
+    raise AssertionError(f'no pair of {split} in 60 scenes')
+
+
+def nearest(pair: PointPair) -> tuple[np.ndarray, np.ndarray]:
+    """Distance (N,) of each source point to the nearest target point and to its plane."""
+    tree = cKDTree(pair.target)
+    moved = apply(pair.T_target_source, pair.source)
+    away, rows = tree.query(moved, 10)
+    patch = pair.target[rows].astype(np.float64)
+    centre = patch.mean(1)
+    spread = np.einsum('nki,nkj->nij', patch - centre[:, None], patch - centre[:, None])
+    normal = np.linalg.eigh(spread)[1][:, :, 0]
+    return away[:, 0], np.abs(np.einsum('ni,ni->n', moved - centre, normal))
+
+
+def noise_sigma(pair: PointPair, split: str) -> np.ndarray:
+    """Standard deviation (N,) of the depth of both clouds together, at the source's depths."""
+    cell = cell_of(split)
+    rng = np.random.default_rng([pair.seed, 1])
+    world = make_world(rng, crowded=cell.dynamic[1] == 0.5, wanted=cell.dynamic)
+    assert world is not None
+    return np.sqrt(2.0) * world.camera.noise.sigma_m(pair.source[:, 2].astype(np.float64))
+
+
+def check_labels(pair: PointPair, split: str) -> float | None:
+    """Check the static points; how many sigmas the moving ones are off (median), if there are."""
+    away, off = nearest(pair)
+    sigma = np.maximum(noise_sigma(pair, split), 0.001)
+    common = (pair.source_label == 0) & (away < 2.0 * pair.voxel_size_m)
+    assert common.mean() > 0.02
+    assert np.median(off[common] / sigma[common]) < 3.0, f'{pair.name}: static points are off'
+    if split.endswith('rigid'):
+        assert not pair.source_label.any()
+        assert not pair.target_label.any()
+    both = np.isin(pair.source_instance, np.unique(pair.target_instance[pair.target_label > 0]))
+    moving = (pair.source_label > 0) & both
+    return float(np.median(away[moving] / sigma[moving])) if moving.sum() > 50 else None
+
+
+@pytest.mark.parametrize('split', ['room-match-rigid', 'room-match-10-30'])
+def test_labels_are_right(split: str) -> None:
+    off = check_labels(some(split)[0].pair, split)
+    assert off is None or off > 3.0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize('split', ROOM_SPLITS)
+def test_labels_are_right_on_fifty_pairs(split: str) -> None:
+    off: list[float | None] = []
+    for seed in range(SEED + 100, SEED + 400):
+        off += [check_labels(pair, split) for pair in make_pairs(split, seed)]
+        if len(off) >= 50:
+            break
+    assert len(off) >= 50
+    moving = np.array([value for value in off if value is not None])
+    if not split.endswith('rigid'):
+        # A piece of furniture that shifts by centimetres hides in the noise of a poor camera.
+        assert np.median(moving) > 6.0
+        assert (moving > 3.0).mean() > 0.6
+
+
+def test_overlap_is_what_a_search_of_neighbours_finds() -> None:
+    for split in ('room-match-rigid', 'room-match-10-30'):
+        for sample in some(split):
+            pair = sample.pair
+            away, _ = nearest(pair)
+            static = pair.source_label == 0
+            found = float((away[static] < pair.voxel_size_m).mean())
+            assert pair.overlap == pytest.approx(found, abs=0.12)
+
+
+def test_pairs_keep_the_limits_of_their_cell() -> None:
+    for split in ('room-match-rigid', 'room-match-10-30'):
+        cell = cell_of(split)
+        for sample in some(split):
+            pair = sample.pair
+            assert cell.overlap[0] < pair.overlap < cell.overlap[1]
+            moving = (pair.source_label > 0).sum() + (pair.target_label > 0).sum()
+            share = moving / (len(pair.source) + len(pair.target))
+            assert pair.dynamic_share == pytest.approx(share)
+            if not cell.frozen:
+                assert cell.dynamic[0] <= share <= cell.dynamic[1]
+                assert sample.displacement_m > 0.25
+            assert min(len(pair.source), len(pair.target)) >= 2000
+            assert pair.source.dtype == np.float32
+            assert np.isfinite(pair.source).all()
+            assert len(pair.source_label) == len(pair.source_instance) == len(pair.source)
+            np.testing.assert_array_equal(pair.source_label > 0, pair.source_instance > 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('split', ['room-lomatch-30-50', 'room-match-30-50', 'room-lomatch-rigid'])
+def test_rare_cells_fill(split: str) -> None:
+    cell = cell_of(split)
+    for sample in some(split, scenes=2):
+        assert cell.overlap[0] < sample.pair.overlap < cell.overlap[1]
+        assert cell.frozen or 0.3 <= sample.pair.dynamic_share <= 0.5
+
+
+def test_the_same_seed_gives_the_same_bytes() -> None:
+    seed = some('room-match-10-30')[0].pair.seed
+    first = make_pair('room-match-10-30', seed)
+    assert first is not None
+    assert encode_pair(first) == encode_pair(some('room-match-10-30')[0].pair)
+
+
+def test_the_still_twin_shows_the_target_without_motion() -> None:
+    (sample, *_) = some('room-match-10-30', still=True)
+    plain = some('room-match-10-30')[0]
+    assert encode_pair(sample.pair) == encode_pair(plain.pair), 'the twin changes nothing'
+    assert plain.still is None
+    assert sample.still is not None
+    pair = sample.pair
+    moving = apply(pair.T_target_source, pair.source[pair.source_label > 0])
+    there = cKDTree(sample.still).query(moving)[0]
+    then = cKDTree(pair.target).query(moving)[0]
+    assert np.median(there) < np.median(then)
+    assert np.median(there) < 0.05
+
+
+def test_the_two_clouds_of_a_rigid_pair_have_no_movers() -> None:
+    for sample in some('room-match-rigid', still=True):
+        assert sample.still is sample.pair.target
+        assert sample.displacement_m == 0.0
+
+
+def test_views_of_a_scene_are_not_repeated() -> None:
+    poses = [s.pair.T_target_source.tobytes() for s in some('room-match-rigid')]
+    assert len(set(poses)) == len(poses)
+
+
+def test_the_training_mixture_names_its_cells() -> None:
+    pairs = make_pairs('room-train', SEED)
+    assert pairs
+    names = [p.name for p in pairs]
+    assert len(set(names)) == len(names)
+    assert all(n.startswith(f'room-{SEED:07d}-') for n in names)
+
+
+def test_street_names_lead_to_streets(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = []
+
+    def street_cell(*args: object, **kwargs: object) -> list[Sample]:
+        calls.append((args, kwargs))
+        return []
+
+    monkeypatch.setattr(streets_pairs, 'street_cell', street_cell)
+    for split in ('street-lomatch-30-50', 'street-match-rigid'):
+        assert make_samples(split, 7, count=2, still=True) == []
+        assert calls[-1] == ((7, cell_of(split), 2), {'still': True, 'name': split})
+    make_samples('street-train', 8)
+    make_samples('street-train', 9)
+    assert calls[-1][0][1] != calls[-2][0][1], 'the mixture goes through its cells'
+
+
+@pytest.mark.slow
+def test_a_street_pair_is_a_street_pair() -> None:
+    for seed in range(SEED, SEED + 20):
+        pair = make_pair('street-match-10-30', seed)
+        if pair is not None:
+            assert pair.name.startswith('street-match-10-30-')
+            assert pair.voxel_size_m == pytest.approx(0.3)
+            assert 0.1 <= pair.dynamic_share <= 0.3
+            return
+    raise AssertionError('no street pair in 20 scenes')
+
+
+def test_split_names() -> None:
+    assert len(SPLITS) == 12
+    assert parse_split('street-lomatch-30-50') == ('street', 'lomatch', '30-50')
+    assert scene_of('street-train') == 'street'
+    for wrong in ('room', 'room-match', 'room-match-10', 'roof-match-rigid', 'room-train-rigid'):
+        with pytest.raises(ConfigError, match='split: expected'):
+            scene_of(wrong)
+    with pytest.raises(ConfigError, match='split: expected'):
+        cell_of('room-matches-rigid')

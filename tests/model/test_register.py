@@ -1,0 +1,170 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""register() as users call it: results, bad clouds, refinement, voxel size, confidence."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from hybridreg_ros import HybridReg
+from hybridreg_ros.core import se3
+from hybridreg_ros.core.errors import RegistrationError
+from hybridreg_ros.model.confidence import Calibration, ConfidenceFeatures
+from hybridreg_ros.model.refine import Surface, refine
+from hybridreg_ros.model.voxel_size import choose_voxel_size_m
+
+if TYPE_CHECKING:
+    from hybridreg_ros.model.network import HybridRegNet
+
+SHIFT_M = np.array([0.8, -0.4, 0.4], np.float32)
+
+
+@pytest.fixture(scope='module')
+def model(compact_net: HybridRegNet) -> HybridReg:
+    return HybridReg(compact_net.config, compact_net)
+
+
+def test_result_of_a_shifted_copy(model: HybridReg, room: np.ndarray) -> None:
+    holed = np.insert(room, 7, np.nan, axis=0)
+    r = model.register(holed, room + SHIFT_M, voxel_size_m=0.05)
+    np.testing.assert_allclose(r.T_target_source, se3.transform(np.eye(3), SHIFT_M), atol=1e-3)
+    assert r.T_target_source.dtype == np.float64
+    assert 0.0 <= r.confidence <= 1.0
+    assert r.source_uncertainty.shape == (len(holed),)
+    assert r.target_uncertainty.shape == (len(room),)
+    assert r.source_uncertainty.dtype == np.float32
+    assert ((r.source_uncertainty >= 0) & (r.source_uncertainty <= 1)).all()
+    assert r.source_uncertainty[7] == 1.0
+    c = r.correspondences
+    assert len(c) == len(c.source) == len(c.target)
+    assert r.inliers <= len(c)
+    assert set(r.timings_s) == {'encode', 'network', 'verify', 'refine', 'total'}
+
+
+def test_register_equals_encode_and_match(model: HybridReg, room: np.ndarray) -> None:
+    a, b = model.encode(room, 0.05), model.encode(room + SHIFT_M, 0.05)
+    one, two = model.match(a, b), model.register(room, room + SHIFT_M, 0.05)
+    np.testing.assert_array_equal(one.T_target_source, two.T_target_source)
+    np.testing.assert_array_equal(one.source_uncertainty, two.source_uncertainty)
+    assert one.confidence == two.confidence
+
+
+def test_encode_keeps_the_first_voxel_size(compact_net: HybridRegNet, room: np.ndarray) -> None:
+    model = HybridReg(compact_net.config, compact_net)
+    first = model.encode(room)
+    second = model.encode(1.2 * room)
+    assert first.voxel_size_m == second.voxel_size_m == model.voxel_size_m
+    assert model.match(second, first).T_keyframe_scan.shape == (4, 4)
+
+
+def test_unrelated_clouds_get_low_confidence(model: HybridReg, rng: np.random.Generator) -> None:
+    a, b = rng.uniform(-2, 2, (2, 1500, 3)).astype(np.float32)
+    assert model.register(a, b).confidence < 0.5
+
+
+@pytest.mark.parametrize('count', [3, 50])
+def test_tiny_clouds(model: HybridReg, rng: np.random.Generator, count: int) -> None:
+    cloud = rng.uniform(-1, 1, (count, 3)).astype(np.float32)
+    r = model.register(cloud, cloud)
+    assert np.isfinite(r.T_target_source).all()
+    assert r.confidence < 0.5
+    assert r.source_uncertainty.shape == (count,)
+
+
+def test_one_plane_gets_low_confidence(model: HybridReg, rng: np.random.Generator) -> None:
+    plane = rng.uniform(-2, 2, (4000, 3)).astype(np.float32) * np.float32([1, 1, 0])
+    assert model.register(plane, plane + np.float32([0.3, 0.1, 0])).confidence < 0.5
+
+
+@pytest.mark.parametrize('count', [0, 1, 2])
+def test_too_few_points(model: HybridReg, room: np.ndarray, count: int) -> None:
+    with pytest.raises(RegistrationError, match=r'no extent|at least 3'):
+        model.register(room[:count], room)
+
+
+def test_equal_points(model: HybridReg, room: np.ndarray) -> None:
+    with pytest.raises(RegistrationError, match='no extent'):
+        model.register(np.ones((400, 3)), room)
+
+
+def test_all_nan(model: HybridReg, room: np.ndarray) -> None:
+    with pytest.raises(RegistrationError, match='no extent'):
+        model.register(np.full((400, 3), np.nan), room)
+
+
+def test_millimetres(model: HybridReg, room: np.ndarray) -> None:
+    with pytest.raises(RegistrationError, match='looks like millimetres'):
+        model.register(1000.0 * room, 1000.0 * room)
+    with pytest.raises(RegistrationError, match=r'looks like millimetres|other units'):
+        model.register(1000.0 * room, room)
+    with pytest.raises(RegistrationError, match='other units'):
+        model.register(100.0 * room, room)
+
+
+def test_huge_coordinates(model: HybridReg, room: np.ndarray) -> None:
+    with pytest.raises(RegistrationError, match='too large for voxels'):
+        model.register(room + 3e5, room)
+    with pytest.raises(RegistrationError, match='no extent'):
+        model.register(room + 1e9, room)  # one float32 number for all points
+
+
+@pytest.mark.parametrize('bad', [np.zeros((5, 4)), np.zeros(9), np.full((4, 3), 'x')])
+def test_wrong_shape_or_type(model: HybridReg, bad: np.ndarray) -> None:
+    with pytest.raises(RegistrationError, match=r'expected real numbers of shape \(N, 3\)'):
+        model.encode(bad)
+
+
+@pytest.mark.parametrize(
+    ('scale', 'low', 'high'), [(1.0, 0.045, 0.06), (0.05, 0.001, 0.01), (20.0, 0.25, 0.31)]
+)
+def test_voxel_size_follows_the_sensor(
+    room: np.ndarray, scale: float, low: float, high: float
+) -> None:
+    assert low <= choose_voxel_size_m(room * scale, room * scale) <= high
+
+
+def test_refinement_mends_a_small_error(room: np.ndarray) -> None:
+    surface = Surface.build(room / 0.05)
+    wrong = se3.exp(np.array([1.0, -0.8, 0.5, 0.02, -0.03, 0.02]))
+    trusted = np.ones(len(room), dtype=bool)
+    refined = refine(surface, surface, wrong, trusted)
+    assert refined.accepted
+    np.testing.assert_allclose(refined.V_target_source, np.eye(4), atol=0.05)
+    assert refined.overlap > 0.99
+    assert refined.correction > 0.5
+
+
+def test_refinement_keeps_the_pose_where_it_would_harm(
+    room: np.ndarray, rng: np.random.Generator
+) -> None:
+    surface = Surface.build(room / 0.05)
+    far = se3.exp(np.array([500.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    refined = refine(surface, surface, far, np.ones(len(room), dtype=bool))
+    np.testing.assert_array_equal(refined.V_target_source, far)
+    assert refined.overlap == 0.0
+
+
+def test_refinement_ignores_points_that_are_not_trusted(room: np.ndarray) -> None:
+    """Half of the source moved on its own: only masking it keeps the background aligned."""
+    voxels = room / np.float32(0.05)
+    moving = voxels[:, 0] > 30.0
+    source = Surface.build(voxels + np.where(moving[:, None], np.float32([0, 1.2, 0]), 0))
+    target = Surface.build(voxels)
+    masked = refine(source, target, np.eye(4), ~moving)
+    np.testing.assert_allclose(masked.V_target_source[:3, 3], 0.0, atol=0.05)
+    unmasked = refine(source, target, np.eye(4), np.ones(len(room), dtype=bool))
+    assert np.abs(unmasked.V_target_source[:3, 3]).max() > 0.1
+
+
+def test_confidence_grows_with_the_evidence() -> None:
+    good = ConfidenceFeatures(5.0, 0.8, 0.8, 0.7, 0.4, 0.6, 0.3, 0.5, 900)
+    weak = ConfidenceFeatures(2.0, 0.1, 0.1, 0.2, 0.8, 0.3, 0.05, 3.0, 900)
+    plane = ConfidenceFeatures(5.0, 0.8, 0.5, 0.7, 0.4, 0.6, 0.002, 0.5, 900)
+    calibration = Calibration()
+    assert calibration.probability(good) > 0.8
+    assert calibration.probability(weak) < 0.1
+    assert calibration.probability(plane) < 0.3
+    assert calibration.probability(ConfidenceFeatures(residual=float('nan'))) == 0.0

@@ -1,0 +1,76 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""HybridOdometry without a network: it follows the sensor, and says how sure it is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tiny_world import depth_rays, lidar_rays, scans, walk
+
+from hybridreg_ros.core import se3
+from hybridreg_ros.odometry.config import OdometryConfig
+from hybridreg_ros.odometry.frontend import HybridOdometry
+from hybridreg_ros.odometry.result import OdometryResult, Reason, Source
+
+
+def run(clouds: list, **settings: object) -> list[OdometryResult]:
+    odometry = HybridOdometry(OdometryConfig(**settings), model=None)
+    return [odometry.step(scan) for scan in clouds]
+
+
+def errors(results: list[OdometryResult], poses: list) -> tuple[float, float]:
+    """Largest position (m) and rotation (deg) error against the truth."""
+    start = se3.inverse(poses[0])
+    off = [se3.inverse(start @ T) @ r.pose for T, r in zip(poses, results, strict=True)]
+    return (
+        max(float(np.linalg.norm(T[:3, 3])) for T in off),
+        max(se3.rotation_angle_deg(T[:3, :3]) for T in off),
+    )
+
+
+@pytest.mark.parametrize('rays', [lidar_rays(), depth_rays()], ids=['lidar', 'depth'])
+def test_follows_a_walk(rays: np.ndarray) -> None:
+    poses = walk(12)
+    results = run(scans(poses, rays))
+    shift_m, turn_deg = errors(results, poses)
+    assert shift_m < 0.02
+    assert turn_deg < 0.3
+    assert results[0].reason is Reason.FIRST_SCAN
+    assert np.array_equal(results[0].pose, np.eye(4))
+    for result in results[1:]:
+        assert result.source is Source.KISS_ICP
+        assert result.reason is Reason.NO_WEIGHTS
+        assert result.confidence > 0.9
+        assert result.dynamic_probability.shape == (len(result.scan),)
+        assert {'preprocess', 'refine', 'map', 'total'} <= set(result.timings_s)
+
+
+def test_twist_is_the_motion_in_the_sensor_frame() -> None:
+    results = run(scans(walk(8, step_m=0.08, turn_deg=2.0), lidar_rays()))
+    expected = [0.8, 0.0, 0.0, 0.0, 0.0, np.deg2rad(20.0)]
+    np.testing.assert_allclose(results[-1].twist, expected, atol=0.08)
+    assert (np.diag(results[-1].twist_covariance) > 0.0).all()
+
+
+def test_covariance_is_small_symmetric_and_positive() -> None:
+    covariance = run(scans(walk(4), lidar_rays()))[-1].covariance
+    np.testing.assert_allclose(covariance, covariance.T)
+    assert (np.linalg.eigvalsh(covariance) > 0.0).all()
+    assert np.sqrt(np.diag(covariance)).max() < 0.1
+
+
+def test_registrar_kiss_icp_is_named_as_the_reason() -> None:
+    results = run(scans(walk(3), lidar_rays()), registrar='kiss-icp')
+    assert [r.reason for r in results[1:]] == [Reason.REGISTRAR_KISS_ICP] * 2
+
+
+def test_reset_starts_a_new_odom_frame() -> None:
+    clouds = scans(walk(4), lidar_rays())
+    odometry = HybridOdometry(model=None)
+    for scan in clouds[:3]:
+        odometry.step(scan)
+    odometry.reset()
+    result = odometry.step(clouds[3])
+    assert result.reason is Reason.FIRST_SCAN
+    assert np.array_equal(result.pose, np.eye(4))

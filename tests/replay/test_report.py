@@ -1,0 +1,277 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Charts, pictures, tables and the live log: parts of the report looked at closely."""
+
+from __future__ import annotations
+
+import doctest
+import io
+import json
+import re
+import threading
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from PIL import Image
+from tiny_bags import PERIOD, START, sensor_pose
+
+from hybridreg_ros.core import se3
+from hybridreg_ros.core.pointcloud2 import from_arrays
+from hybridreg_ros.core.quaternion import to_quaternion
+from hybridreg_ros.metrics.mask import MaskCounts
+from hybridreg_ros.metrics.trajectory import Trajectory
+from hybridreg_ros.replay import charts, outputs, pictures, report, report_tables
+from hybridreg_ros.replay.bag_reader import open_bag
+from hybridreg_ros.replay.live_log import LiveRecorder
+from hybridreg_ros.replay.runner import Drop, FrameLog, ReplayLog
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def test_doctests() -> None:
+    assert doctest.testmod(charts).failed == 0
+
+
+def points_of(svg: str, kind: str = 'line c0') -> list[tuple[float, float]]:
+    """Pixels of a drawn line."""
+    match = re.search(rf'<path class="{kind}" d="([^"]+)"', svg)
+    assert match
+    return [(float(x), float(y)) for x, y in re.findall(r'[ML]([-\d.]+) ([-\d.]+)', match[1])]
+
+
+def test_time_chart_draws_what_it_is_given() -> None:
+    x = np.arange(5.0)
+    y = np.array([0.0, 1.0, np.nan, 3.0, 4.0])
+    series = [charts.Series('a <b>', x, y), charts.Series('b', x, 2 * y, 1, dashed=True)]
+    html = charts.time_chart(series, 'm', 'say "it"', [charts.Band(1.0, 2.0, 'lost')])
+    svg = html[: html.index('</svg>') + 6]
+    ElementTree.fromstring(svg)
+    pixels = points_of(svg)
+    assert len(pixels) == 4, 'NaN is a gap'
+    assert svg.count('M') >= 2
+    assert np.allclose(np.diff([p[0] for p in pixels[:2]]), np.diff([p[0] for p in pixels[2:]]))
+    heights = [p[1] for p in pixels]
+    assert heights == sorted(heights, reverse=True), 'larger values must stand higher'
+    assert 'a &lt;b&gt;' in html
+    assert 'class="band lost"' in svg
+
+
+def test_plan_chart_keeps_the_aspect() -> None:
+    t = np.linspace(0, 2 * np.pi, 100)
+    svg = charts.plan_chart([charts.Series('circle', np.cos(t), np.sin(t))], 'x', 'y', 'c')
+    pixels = np.array(points_of(svg))
+    assert np.ptp(pixels[:, 0]) == pytest.approx(np.ptp(pixels[:, 1]), rel=0.02)
+
+
+@pytest.mark.parametrize('values', [[], [1.0], [np.nan, np.nan], [5.0, 5.0]])
+def test_charts_of_next_to_nothing(values: list[float]) -> None:
+    y = np.array(values, dtype=np.float64)
+    svg = charts.time_chart([charts.Series('s', np.arange(float(len(y))), y)], 'm', 'l')
+    assert 'nan' not in svg
+    plan = charts.plan_chart([charts.Series('s', y, y)], 'x', 'y', 'l')
+    assert 'inf' not in plan
+
+
+def wall(optical: bool) -> np.ndarray[Any, np.dtype[np.float32]]:
+    """A wall 3 m ahead with a box 1 m ahead at the upper right."""
+    side, up = np.meshgrid(np.linspace(-1.5, 1.5, 120), np.linspace(-1, 1, 80))
+    ahead = np.full(side.shape, 3.0)
+    box = (side > 0.5) & (up > 0.3)
+    ahead[box] = 1.0
+    side, up = side * ahead / 3, up * ahead / 3
+    axes = (side, -up, ahead) if optical else (ahead, -side, up)
+    return np.stack([a.ravel() for a in axes], axis=1).astype(np.float32)
+
+
+@pytest.mark.parametrize('optical', [True, False])
+@pytest.mark.parametrize('labelled', [True, False])
+def test_picture_shows_masks_where_they_are(optical: bool, labelled: bool) -> None:
+    points = wall(optical)
+    moving = np.linalg.norm(points, axis=1) < 1.5
+    truth = np.zeros_like(moving)
+    truth[:2000] = True
+    view = pictures.FrameView(0, points, moving, truth if labelled else None)
+    image = np.array(Image.open(io.BytesIO(pictures.render(view))))
+    where = {
+        colour: np.argwhere((image == colour).all(axis=2))
+        for colour in (pictures.MOVING, pictures.FALSE_ALARM, pictures.MISSED)
+    }
+    box = where[pictures.FALSE_ALARM if labelled else pictures.MOVING]
+    assert len(box) > 500
+    assert box[:, 0].max() < 0.5 * image.shape[0], 'the box is in the upper half'
+    assert box[:, 1].min() > 0.5 * image.shape[1], 'and on the right'
+    assert bool(len(where[pictures.MISSED])) == labelled
+    background = (image == pictures.BACKGROUND).all(axis=2).mean()
+    assert background < 0.05, 'gaps between the points of a grid'
+
+
+def test_picture_of_nothing() -> None:
+    view = pictures.FrameView(0, np.zeros((0, 3), np.float32), np.zeros(0, bool), None)
+    assert Image.open(io.BytesIO(pictures.render(view))).size[0] == pictures.WIDTH
+
+
+def test_album_keeps_few_frames_and_the_best() -> None:
+    album = pictures.Album(100, wanted=3)
+    for i in range(100):
+        moving = np.zeros(10, bool)
+        moving[: 5 if i == 60 else 1] = True
+        album.offer(pictures.FrameView(i, np.zeros((10, 3), np.float32), moving, None))
+    assert [v.stamp for v in album.views()] == [24, 49, 60, 74]
+
+
+def run_log(n: int = 6) -> ReplayLog:
+    frames = [
+        FrameLog(
+            START + i * PERIOD,
+            sensor_pose(i),
+            source='kiss_icp' if i < 3 else 'hybridreg',
+            reason='ok',
+            confidence=0.1 * i,
+            points=100,
+            dynamic=10,
+            seconds={'match': 0.01, 'total': 0.02},
+            mask=MaskCounts(5, 5, 5, 85),
+        )
+        for i in range(n)
+    ]
+    return ReplayLog(frames, [Drop(START, 'a <bad> cloud')])
+
+
+def test_report_escapes_and_tells_everything(tmp_path: Path) -> None:
+    log = run_log()
+    truth = log.trajectory()
+    run = report.ReportRun('ours <x>', log, outputs.score_log(log, truth), truth, (), {'a': 1})
+    report.write_report(tmp_path / 'r.html', 'Title & more', 'sub <title>', [run])
+    page = (tmp_path / 'r.html').read_text('utf-8')
+    assert '<bad>' not in page
+    assert 'a &lt;bad&gt; cloud' in page
+    assert 'Title &amp; more' in page
+    assert 'class="band kiss_icp"' in page
+    assert 'class="band hybridreg"' in page
+    match = re.search(r'id="frames">(.*?)</script>', page)
+    assert match
+    rows = json.loads(match[1])
+    assert [r['s'] for r in rows] == ['kiss_icp'] * 3 + ['hybridreg'] * 3
+    assert rows[0]['e'] is None
+    assert rows[1]['e'] == pytest.approx(0.0, abs=1e-6)
+    assert '>0.333<' in page, 'IoU 5 / 15'
+
+
+@pytest.mark.parametrize('n', [0, 1])
+def test_report_of_next_to_nothing(tmp_path: Path, n: int) -> None:
+    log = run_log(n)
+    scores = outputs.score_log(log, Trajectory(np.array([START]), sensor_pose(0)[None]))
+    assert f'{n} poses are too few' in scores.note
+    report.write_report(tmp_path / 'r.html', 't', 's', [report.ReportRun('r', log, scores)])
+    assert 'No trajectory score' in (tmp_path / 'r.html').read_text('utf-8')
+
+
+def test_text_table_is_aligned() -> None:
+    log = run_log()
+    rows = report_tables.score_rows([('a', log, outputs.score_log(log, None))])
+    lines = report_tables.text_table(rows).splitlines()
+    assert len({len(line) for line in lines}) == 1
+    assert lines[0].startswith('run')
+    assert lines[2].split()[1] == '6'
+
+
+def test_plain_makes_strict_json() -> None:
+    value = {'a': float('nan'), 'b': (1, np.float32(2)), 'c': np.eye(1), 'd': MaskCounts(1)}
+    text = json.dumps(outputs.plain(value), allow_nan=False)
+    assert json.loads(text) == {
+        'a': None,
+        'b': [1, 2.0],
+        'c': [[1.0]],
+        'd': {'tp': 1, 'fp': 0, 'fn': 0, 'tn': 0},
+    }
+
+
+def message(stamp: int, **fields: Any) -> SimpleNamespace:
+    sec, nanosec = divmod(stamp, 10**9)
+    header = SimpleNamespace(
+        stamp=SimpleNamespace(sec=sec, nanosec=nanosec), frame_id=fields.pop('frame_id', 'lidar')
+    )
+    return SimpleNamespace(header=header, **fields)
+
+
+def odometry(stamp: int, pose: np.ndarray[Any, np.dtype[np.float64]], variance: float) -> Any:
+    x, y, z, w = to_quaternion(pose[:3, :3])
+    vector = SimpleNamespace(x=1.0, y=0.0, z=0.0)
+    return message(
+        stamp,
+        frame_id='odom',
+        child_frame_id='lidar',
+        pose=SimpleNamespace(
+            pose=SimpleNamespace(
+                position=SimpleNamespace(x=pose[0, 3], y=pose[1, 3], z=pose[2, 3]),
+                orientation=SimpleNamespace(x=x, y=y, z=z, w=w),
+            ),
+            covariance=np.full(36, variance),
+        ),
+        twist=SimpleNamespace(
+            twist=SimpleNamespace(linear=vector, angular=vector), covariance=np.zeros(36)
+        ),
+    )
+
+
+def labelled_cloud(stamp: int, labels: list[int]) -> Any:
+    cloud = from_arrays(
+        np.ones((len(labels), 3), np.float32), {'label': np.array(labels, np.uint8)}
+    )
+    return message(stamp, **vars(cloud))
+
+
+def test_live_recorder_joins_messages_of_any_order_and_thread(tmp_path: Path) -> None:
+    recorder = LiveRecorder(tmp_path, 4)
+    calls = []
+    for i in range(4):
+        stamp = START + i * PERIOD
+        variance = 9999.0 if i == 3 else 0.1
+        calls += [
+            (recorder.on_static, labelled_cloud(stamp, [0, 0, 1])),
+            (recorder.on_odom, odometry(stamp, sensor_pose(i), variance)),
+        ]
+        if i != 2:
+            calls.append((recorder.on_dynamic, labelled_cloud(stamp, [1, 0])))
+    threads = [
+        threading.Thread(target=lambda part: [f(m) for f, m in part], args=(calls[k::3],))
+        for k in range(3)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    recorder.close()
+    frames = recorder.log.frames
+    assert [f.stamp for f in frames] == [START + i * PERIOD for i in range(4)]
+    assert [f.source for f in frames] == ['', '', '', 'lost']
+    assert frames[0].mask == MaskCounts(tp=1, fp=1, fn=1, tn=2)
+    assert frames[2].mask is None, 'its dynamic cloud never came'
+    for i, frame in enumerate(frames):
+        np.testing.assert_allclose(frame.pose, sensor_pose(i), atol=1e-12)
+    assert len((tmp_path / 'odometry.tum').read_text().splitlines()) == 4
+    with open_bag(tmp_path / 'dynamic.mcap') as bag:
+        counts = {t.name: t.messages for t in bag.topics.values()}
+    assert counts == {
+        '/hybridreg/odom': 4,
+        '/hybridreg/dynamic_points': 3,
+        '/hybridreg/static_points': 4,
+    }
+
+
+def test_kiss_icp_alone_moves_with_the_sensor(room_bag: Path) -> None:
+    from hybridreg_ros.replay import runner
+    from hybridreg_ros.replay.baseline import KissIcpAlone
+
+    with open_bag(room_bag) as bag:
+        log = runner.run(bag.frames(), KissIcpAlone())
+        truth = bag.ground_truth()
+    assert truth is not None
+    assert len(log.frames) == 12
+    moved = se3.inverse(log.frames[0].pose) @ log.frames[-1].pose
+    true_move = se3.inverse(truth.poses[0]) @ truth.poses[-1]
+    assert np.linalg.norm(moved[:3, 3] - true_move[:3, 3]) < 0.1

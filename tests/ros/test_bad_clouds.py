@@ -1,0 +1,240 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Every bad cloud through the topic: it is counted, diagnosed, and the node lives on."""
+
+from __future__ import annotations
+
+from itertools import count
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed (pip install hybridreg_ros[ros])')
+
+from array import array
+from typing import TYPE_CHECKING
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from ros_harness import STEP_NS, cloud, room, running
+
+from hybridreg_ros.odometry.result import LOST_VARIANCE
+
+if TYPE_CHECKING:
+    from sensor_msgs.msg import PointCloud2
+
+pytestmark = pytest.mark.ros
+
+HOUR_NS = 3_600_000_000_000
+_stamps = count(10 * STEP_NS, STEP_NS)
+
+
+@pytest.fixture(scope='module')
+def node():
+    """One node for the module: that it lives on is part of every test."""
+    with running('bad', max_cloud_points=1_000_000) as p:
+        yield p
+
+
+@pytest.fixture
+def probe(node):
+    """The node after a reset and one good cloud; a good cloud must pass afterwards too."""
+    node.call('reset')
+    node.answer(cloud(room(), stamp()))
+    yield node
+    node.call('reset')
+    node.answer(cloud(room(), stamp()))
+
+
+def stamp() -> int:
+    """The next stamp, ns."""
+    return next(_stamps)
+
+
+def dropped(probe, msg: PointCloud2, cause: str, text: str) -> None:
+    """Send a cloud that must be dropped for a cause, with a text in the diagnostics."""
+    probe.fresh()
+    before, total = probe.count(f'dropped.{cause}'), probe.count('dropped')
+    levels = probe.watch_levels()
+    probe.send(msg)
+    probe.wait(lambda: probe.count(f'dropped.{cause}') == before + 1, f'drop for {cause}')
+    assert probe.count('dropped') == total + 1
+    assert text in probe.values['last_drop']
+    probe.wait(lambda: levels - {DiagnosticStatus.OK}, 'a warning')
+
+
+def edited(**changes) -> PointCloud2:
+    """A good cloud with attributes changed."""
+    msg = cloud(room(), stamp())
+    for name, value in changes.items():
+        setattr(msg, name, value)
+    return msg
+
+
+def lacking_z() -> PointCloud2:
+    msg = cloud(room(), stamp())
+    msg.fields = [f for f in msg.fields if f.name != 'z']
+    return msg
+
+
+def truncated() -> PointCloud2:
+    msg = cloud(room(), stamp())
+    msg.data = array('B', msg.data[: len(msg.data) // 2])
+    return msg
+
+
+def doubled_field() -> PointCloud2:
+    msg = cloud(room(), stamp())
+    msg.fields[1].name = 'x'
+    return msg
+
+
+def odd_datatype() -> PointCloud2:
+    msg = cloud(room(), stamp())
+    msg.fields[0].datatype = 77
+    return msg
+
+
+@pytest.mark.parametrize(
+    ('make', 'text'),
+    [
+        (lacking_z, 'lacks field z'),
+        (truncated, 'truncated data'),
+        (doubled_field, 'field x stands twice'),
+        (odd_datatype, 'unknown datatype 77'),
+        (lambda: edited(point_step=8), 'wrong point_step'),
+        (lambda: edited(point_step=0), 'point_step'),
+        (lambda: edited(row_step=5), 'row_step is 5'),
+        (lambda: edited(fields=[]), 'lacks field x'),
+        (lambda: edited(width=5000), 'row_step'),
+        (lambda: edited(data=array('B')), 'truncated data'),
+    ],
+)
+def test_broken_layout_is_a_counted_drop(probe, make, text):
+    dropped(probe, make(), 'bad_cloud', text)
+
+
+def test_too_many_points_are_a_counted_drop(probe):
+    msg = cloud(np.zeros((1_000_001, 3), np.float32), stamp())
+    dropped(probe, msg, 'too_many_points', '1000001 points, max_cloud_points is 1000000')
+
+
+@pytest.mark.parametrize(
+    'points',
+    [
+        np.zeros((0, 3)),
+        np.ones((1, 3)),
+        np.full((500, 3), np.nan),
+        np.full((500, 3), np.inf),
+        np.full((500, 3), 1e9),
+        np.ones((5000, 3)),
+    ],
+    ids=['empty', 'one_point', 'all_nan', 'inf', '1e9', 'all_equal'],
+)
+def test_clouds_without_shape_give_no_pose_of_their_own(probe, points):
+    probe.fresh()
+    levels = probe.watch_levels()
+    poor = sum(n for key, n in probe.counters() if key.startswith('poor.'))
+    for _ in range(3):
+        msg = probe.answer(cloud(points.astype(np.float32), stamp()))
+    assert np.diag(np.array(msg.pose.covariance).reshape(6, 6)).min() >= LOST_VARIANCE
+    probe.wait(lambda: probe.values['source'] == 'lost', 'lost')
+    probe.wait(lambda: DiagnosticStatus.ERROR in levels, 'an error')
+    assert sum(n for key, n in probe.counters() if key.startswith('poor.')) == poor + 3
+
+
+def test_lost_is_left_again(probe):
+    for _ in range(3):
+        probe.answer(cloud(np.zeros((0, 3), np.float32), stamp()))
+    probe.wait(lambda: probe.level == DiagnosticStatus.ERROR, 'an error')
+    msg = probe.answer(cloud(room(), stamp()))
+    assert np.diag(np.array(msg.pose.covariance).reshape(6, 6)).max() < 1.0
+    probe.wait(lambda: 'lost to kiss_icp' in probe.values['last_switch'], 'the switch')
+    assert 'recovered' in probe.values['last_switch']
+
+
+def test_some_nan_inf_and_far_points_do_no_harm(probe):
+    points = room(0.05)
+    points[::7], points[1::9], points[2::11] = np.nan, np.inf, 1e9
+    before = probe.count('invalid_points')
+    p = probe.answer(cloud(points, stamp())).pose.pose.position
+    assert p.x == pytest.approx(0.05, abs=0.03)
+    probe.wait(lambda: probe.count('invalid_points') > before, 'the count')
+
+
+def test_big_endian_is_read(probe):
+    msg = cloud(room(0.05), stamp())
+    msg.data = array('B', np.frombuffer(msg.data, '<f4').astype('>f4').tobytes())
+    msg.is_bigendian = True
+    assert probe.answer(msg).pose.pose.position.x == pytest.approx(0.05, abs=0.03)
+
+
+def test_row_padding_is_skipped(probe):
+    points = room(0.05)[:2800]
+    msg = cloud(points, stamp())
+    rows = np.frombuffer(msg.data, np.uint8).reshape(28, -1)
+    padded = np.concatenate([rows, np.full((28, 13), 255, np.uint8)], axis=1)
+    msg.height, msg.width, msg.row_step = 28, 100, padded.shape[1]
+    msg.data = array('B', padded.tobytes())
+    assert probe.answer(msg).pose.pose.position.x == pytest.approx(0.05, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ('offset_ns', 'cause'),
+    [(0, 'stamp_repeated'), (-5 * STEP_NS, 'stamp_backwards'), (HOUR_NS, 'stamp_jump')],
+)
+def test_odd_stamps_are_counted_drops(probe, offset_ns, cause):
+    s = stamp()
+    probe.answer(cloud(room(), s))
+    received = len(probe.odometry)
+    dropped(probe, cloud(room(), s + offset_ns), cause, f'cloud at {(s + offset_ns) / 1e9:.3f} s')
+    assert len(probe.odometry) == received
+
+
+def test_another_frame_is_a_counted_drop(probe):
+    dropped(probe, cloud(room(), stamp(), 'camera'), 'frame_changed', "frame 'camera'")
+
+
+@pytest.mark.parametrize(
+    'times',
+    [
+        np.zeros(3500, np.float32),
+        np.full(3500, np.nan, np.float32),
+        np.full(3500, 1e30, np.float32),
+        np.linspace(-1e9, 1e9, 3500).astype(np.float32),
+    ],
+    ids=['equal', 'nan', 'huge', 'wide'],
+)
+def test_bad_times_are_said_and_not_used(probe, times):
+    points = room(0.05)
+    msg = probe.answer(cloud(points, stamp(), t=np.resize(times, len(points))))
+    assert msg.pose.pose.position.x == pytest.approx(0.05, abs=0.03)
+    probe.fresh()
+    assert probe.values['deskewed'] == 'false'
+
+
+def test_flood_keeps_the_newest_and_counts_the_rest(probe):
+    assert probe.set('queue_depth', 1).successful
+    probe.fresh()
+    before = dict(probe.counters())
+    received = len(probe.odometry)
+    stamps = [stamp() for _ in range(30)]
+    points = np.tile(room(), (20, 1))
+    for s in stamps:
+        probe.send(cloud(points, s))
+    probe.wait(lambda: probe.at(stamps[-1]), 'the newest cloud')
+    probe.fresh()
+    after = dict(probe.counters())
+    gone = sum(n - before.get(k, 0) for k, n in after.items() if k.startswith('dropped.'))
+    assert gone > 0
+    assert len(probe.odometry) - received + gone == len(stamps)
+    assert probe.set('queue_depth', 50).successful
+
+
+@pytest.mark.slow
+def test_ten_million_points_pass_when_allowed():
+    with running('huge', max_cloud_points=20_000_000, input_qos='reliable') as probe:
+        probe.answer(cloud(room(), STEP_NS))
+        huge = np.tile(room(0.05), (2858, 1))[:10_000_000]
+        p = probe.answer(cloud(huge, 2 * STEP_NS)).pose.pose.position
+        assert p.x == pytest.approx(0.05, abs=0.03)
+        assert probe.answer(cloud(room(0.1), 3 * STEP_NS)).pose.pose.position.x < 0.15

@@ -1,0 +1,163 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""The node over real DDS: clouds in; odometry, stamps, frames, services and diagnostics out."""
+
+from __future__ import annotations
+
+from itertools import count
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed (pip install hybridreg_ros[ros])')
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from nav_msgs.msg import Path
+from ros_harness import FRAME, STEP_NS, cloud, room, running
+from sensor_msgs.msg import PointCloud2
+
+from hybridreg_ros.core.pointcloud2 import field_values, to_scan
+from hybridreg_ros.ros.conversions import to_ns
+from hybridreg_ros.ros.qos import profile
+
+pytestmark = pytest.mark.ros
+
+_stamps = count(10 * STEP_NS, STEP_NS)
+
+
+@pytest.fixture(scope='module')
+def probe():
+    """One node for the module."""
+    with running('node') as p:
+        yield p
+
+
+def stamp() -> int:
+    """The next stamp, ns."""
+    return next(_stamps)
+
+
+def test_odometry_follows_the_motion(probe):
+    probe.call('reset')
+    poses = [probe.answer(cloud(room(0.05 * k), stamp())).pose.pose.position for k in range(6)]
+    x = np.array([p.x for p in poses])
+    assert np.abs(x - 0.05 * np.arange(6)).max() < 0.02
+    assert max(abs(p.y) + abs(p.z) for p in poses) < 0.03
+
+
+def test_stamp_frames_and_covariance(probe):
+    s = stamp()
+    msg = probe.answer(cloud(room(), s))
+    assert msg.header.stamp.sec * 10**9 + msg.header.stamp.nanosec == s
+    assert (msg.header.frame_id, msg.child_frame_id) == ('odom', FRAME)
+    pose = np.array(msg.pose.covariance).reshape(6, 6)
+    assert (np.linalg.eigvalsh(pose) > 0).all()
+    assert (np.diag(np.array(msg.twist.covariance).reshape(6, 6)) > 0).all()
+
+
+def test_lever_arm_free_twist_is_in_the_child_frame(probe):
+    probe.call('reset')
+    msgs = [probe.answer(cloud(room(0.05 * k), stamp())) for k in range(5)]
+    v = msgs[-1].twist.twist.linear
+    assert v.x == pytest.approx(0.5, abs=0.15)  # 5 cm in 0.1 s
+    assert abs(v.y) + abs(v.z) < 0.15
+
+
+def test_dynamic_and_static_points_partition_the_input(probe):
+    if 'static_points' not in probe.received:
+        probe.listen('static_points', PointCloud2)
+        probe.listen('dynamic_points', PointCloud2)
+    points = room()
+    points[::10] = np.nan
+    s = stamp()
+    marks = np.arange(len(points), dtype=np.uint32)
+    msg = cloud(points, s, number=marks)
+    probe.wait(lambda: probe.publishers_matched('static_points', 'dynamic_points'), 'the match')
+    probe.answer(msg)
+    parts = [
+        probe.wait(lambda t=topic: probe.at(s, t), topic)
+        for topic in ('static_points', 'dynamic_points')
+    ]
+    numbers = np.concatenate([field_values(p, 'number') for p in parts])
+    valid = marks[np.isfinite(points).all(axis=1)]
+    np.testing.assert_array_equal(np.sort(numbers), valid)
+    for part in parts:
+        assert part.header.frame_id == FRAME
+        assert [f.name for f in part.fields] == ['x', 'y', 'z', 'number', 'dynamic_probability']
+    static = to_scan(parts[0])
+    np.testing.assert_array_equal(static.points, points[field_values(parts[0], 'number')])
+    assert (field_values(parts[0], 'dynamic_probability') < 0.5).all()
+    assert (field_values(parts[1], 'dynamic_probability') >= 0.5).all()
+
+
+def test_best_effort_publishers_are_heard(probe):
+    publisher = probe.node.create_publisher(PointCloud2, 'points', profile(False, 50))
+    probe.wait(publisher.get_subscription_count, 'the match')
+    s = stamp()
+    publisher.publish(cloud(room(), s))
+    probe.wait(lambda: probe.at(s), 'odometry')
+    probe.node.destroy_publisher(publisher)
+
+
+def test_diagnostics_are_ok_and_count(probe):
+    before = probe.count('processed')
+    for _ in range(3):
+        probe.answer(cloud(room(), stamp()))
+    probe.wait(lambda: probe.count('processed') >= before + 3, 'the count')
+    probe.wait(lambda: probe.level == DiagnosticStatus.OK, 'level OK')
+    assert probe.text == 'ok'
+    assert probe.values['source'] == 'kiss_icp'
+    assert probe.values['reason'] == 'registrar_kiss_icp'
+    assert probe.values['weights'] == 'not used: registrar kiss-icp'
+    assert float(probe.values['latency_ms']) > 0.0
+    assert 0.0 < float(probe.values['confidence']) <= 1.0
+    assert 'shared memory' in probe.values['transport']
+
+
+def test_silence_is_a_warning(probe):
+    probe.answer(cloud(room(), stamp()))
+    probe.wait(lambda: probe.level == DiagnosticStatus.WARN, 'a warning', 5.0)
+    assert 'no cloud for' in probe.text
+    assert probe.values['source'] == 'kiss_icp'
+
+
+def test_pause_counts_and_resume_goes_on(probe):
+    paused = probe.count('dropped.paused')
+    assert probe.call('pause').success
+    probe.send(cloud(room(), stamp()))
+    probe.wait(lambda: probe.count('dropped.paused') == paused + 1, 'the drop')
+    assert 'paused' in probe.text
+    assert probe.level == DiagnosticStatus.WARN
+    assert probe.call('resume').success
+    probe.answer(cloud(room(), stamp()))
+
+
+def test_reset_starts_at_the_origin(probe):
+    for k in range(4):
+        probe.answer(cloud(room(0.1 * k), stamp()))
+    assert probe.call('reset').message == 'pose and map cleared'
+    p = probe.answer(cloud(room(1.0), stamp())).pose.pose.position
+    assert (p.x, p.y, p.z) == (0.0, 0.0, 0.0)
+
+
+def test_keyframe_and_path_on_request(probe):
+    probe.listen('keyframe', PointCloud2)
+    probe.listen('path', Path)
+    assert probe.set('publish_keyframe', True).successful
+    assert probe.set('publish_path', True).successful
+    probe.wait(lambda: probe.publishers_matched('keyframe', 'path'), 'the match')
+    probe.call('reset')
+    first, second = stamp(), stamp()
+    probe.answer(cloud(room(), first))
+    probe.answer(cloud(room(0.05), second))
+    probe.wait(lambda: probe.at(first, 'keyframe'), 'the keyframe')
+    path = probe.wait(lambda: probe.at(second, 'path'), 'the path')
+    assert [to_ns(p.header.stamp) for p in path.poses] == [first, second]
+    assert path.header.frame_id == 'odom'
+    assert probe.set('publish_path', False).successful
+
+
+def test_a_change_is_applied_to_the_next_cloud(probe):
+    assert probe.set('odom_frame', 'odom_2').successful
+    assert probe.answer(cloud(room(), stamp())).header.frame_id == 'odom_2'
+    assert probe.set('odom_frame', 'odom').successful

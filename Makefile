@@ -9,7 +9,7 @@ INPUTS := scripts/setup.sh setup.py constraints.txt
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export OMP_NUM_THREADS ?= 2
 
-.PHONY: help demo test test-slow bench lint colcon setup clean
+.PHONY: help demo test test-slow bench goals lint colcon setup clean
 
 help:  ## say what the targets do
 	@grep -E '^[a-z-]+:.*##' Makefile | sed 's/:.*##/ —/'
@@ -33,6 +33,9 @@ test-slow: $(VENV)/.ready-test  ## the long tests: colcon, transport, kill and r
 
 bench: $(VENV)/.ready-test  ## milliseconds per stage, side by side with the peers
 	$(VENV)/bin/hybridreg bench
+
+goals: $(VENV)/.ready-test  ## every row of the registration table of docs/results.md (hours)
+	PATH="$(abspath $(VENV))/bin:$$PATH" bash scripts/goals.sh
 
 lint: $(VENV)/.ready-test  ## ruff and mypy, as CI runs them
 	$(PY) -m ruff check .

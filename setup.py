@@ -28,7 +28,13 @@ setup(
     license='Apache-2.0',
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
     package_data={
-        PACKAGE: ['py.typed', 'model/weights/*.safetensors', 'ros/*.xml', 'replay/*.html'],
+        PACKAGE: [
+            'py.typed',
+            'model/weights/*.safetensors',
+            'odometry/*.json',
+            'ros/*.xml',
+            'replay/*.html',
+        ],
     },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),

@@ -69,6 +69,7 @@ def build_parser() -> argparse.ArgumentParser:
         _score,
         _generate,
         _train,
+        _ship,
         _evaluate,
         _bench,
         _dump_config,
@@ -154,7 +155,7 @@ def _replay(commands: Commands) -> None:
     p = _command(
         commands, 'replay', 'cmd_replay', 'send bags through the front end and score them'
     )
-    p.add_argument('bags', type=Path, nargs='+', metavar='BAG')
+    p.add_argument('bags', type=Path, nargs='*', metavar='BAG')
     p.add_argument(
         '--out', type=Path, metavar='DIR',
         help='folder of the results (default out/BAG); with several bags one folder each in it',
@@ -176,10 +177,26 @@ def _replay(commands: Commands) -> None:
     p.add_argument('--rate', type=SPEED, default=0.0, metavar='X',
                    help='live: speed, 1 = as recorded, 0 = as the node can (default)')  # fmt: skip
     p.add_argument('--domain-id', type=_number(int, 0, 232), metavar='N', help='live: ROS domain')
-    p.add_argument(
-        '--timeout', type=POSITIVE, default=60.0, metavar='S', help='live: give up after'
-    )
+    p.add_argument('--timeout', type=POSITIVE, default=60.0, metavar='S', help='live: at most')
     _dask(p)
+    _suite(p)
+
+
+def _suite(p: argparse.ArgumentParser) -> None:
+    group = p.add_argument_group('benchmark', 'instead of bags: sequences, rivals and one table')
+    group.add_argument('--suite', choices=('all', 'rooms', 'streets', 'real', 'dev'))
+    group.add_argument('--sequences', nargs='+', default=[], metavar='NAME', help='only these')
+    group.add_argument('--methods', nargs='+', default=[], metavar='NAME',
+                       help='ours, ours-no-mask, ours-no-network, kiss-icp, genz-icp, '
+                       'small-gicp (default all)')  # fmt: skip
+    group.add_argument('--strides', nargs='+', type=COUNT, default=[], metavar='N',
+                       help='default 1 2 5 10')  # fmt: skip
+    group.add_argument('--frames', type=COUNT, metavar='N', help='at most n of each sequence')
+    group.add_argument('--data', type=Path, default=Path('../shared/data'), metavar='DIR',
+                       help='real recordings (default ../shared/data)')  # fmt: skip
+    group.add_argument('--fit', type=Path, metavar='FILE',
+                       help='with --suite dev: fit confidence and covariance')  # fmt: skip
+    group.add_argument('--table-only', action='store_true', help='make the table of what is there')
 
 
 def _score(commands: Commands) -> None:
@@ -192,15 +209,20 @@ def _score(commands: Commands) -> None:
 
 
 def _generate(commands: Commands) -> None:
-    p = _command(commands, 'generate', 'cmd_generate', 'generate pairs of a HybridMatch split')
+    p = _command(commands, 'generate', 'cmd_generate', 'generate pairs of HybridMatch splits')
     p.add_argument(
         'split',
-        help='{room,street}-{match,lomatch}-{rigid,10-30,30-50}, or {room,street}-train',
+        help='{room,street}-{match,lomatch}-{rigid,10-30,30-50}, all for these twelve (one folder '
+        'each in DIR), or {room,street}-train',
     )
-    p.add_argument('--pairs', type=COUNT, required=True, metavar='N')
+    p.add_argument('--part', choices=('train', 'val', 'test'), default='train',
+                   help='whose seeds and number of pairs (default train)')  # fmt: skip
+    p.add_argument('--pairs', type=COUNT, metavar='N',
+                   help='default: val 100; test 1000, streets 200; train has none')  # fmt: skip
     p.add_argument(
-        '--seed', type=SEED, default=0, metavar='S',
-        help='first scene; train below 3,000,000, val below 6,000,000, test below 9,000,000',
+        '--seed', type=SEED, metavar='S',
+        help='first scene instead of that of the part; train lies below 3,000,000, val below '
+        '6,000,000, test below 9,000,000',
     )  # fmt: skip
     p.add_argument('--out', type=Path, required=True, metavar='DIR')
     p.add_argument('--layout', choices=('shards', 'official'), default='shards')
@@ -217,14 +239,27 @@ def _train(commands: Commands) -> None:
     p.add_argument('--steps', type=COUNT, metavar='N', help='instead of the number in the config')
 
 
+def _ship(commands: Commands) -> None:
+    p = _command(commands, 'ship', 'cmd_ship', 'make a weights file: fit the confidence, halve')
+    p.add_argument('weights', type=Path, metavar='CHECKPOINT', help='of a training run')
+    p.add_argument('data', type=Path, nargs='+', metavar='DATA', help='validation pairs')
+    p.add_argument('--out', type=Path, required=True, metavar='FILE')
+
+
 def _evaluate(commands: Commands) -> None:
     p = _command(
-        commands, 'evaluate', 'cmd_evaluate', 'score the network on pairs: RR IR FMR RRE RTE'
+        commands, 'evaluate', 'cmd_evaluate', 'score a method on pairs: RR IR FMR RRE RTE'
     )
     p.add_argument(
-        'data', type=Path, nargs='+', metavar='DATA', help='split folders or pair files'
-    )
+        'data', type=Path, nargs='+', metavar='DATA',
+        help='folders: shards, 3DMatch, ETH, KITTI, TUM, 7-Scenes, or HybridMatch as released',
+    )  # fmt: skip
+    p.add_argument('--method', default='hybridreg', metavar='NAME',
+                   help='hybridreg; no-mask lgr lgr-no-mask ransac-N lgr-top-N; without a '
+                        'network: fpfh kiss-matcher (need the extra bench)')  # fmt: skip
     p.add_argument('--limit', type=COUNT, metavar='N', help='at most n pairs of each')
+    p.add_argument('--keep', type=Path, metavar='FILE',
+                   help='scores pair by pair; started again with it, goes on')  # fmt: skip
     p.add_argument('--markdown', type=Path, metavar='FILE', help='also write the tables')
     _weights(p)
     _dask(p)
@@ -239,6 +274,13 @@ def _bench(commands: Commands) -> None:
     p.add_argument(
         '--threads', type=_number(int, 1, 256), default=1, metavar='N', help='default 1'
     )
+    p.add_argument(
+        '--peers', action='store_true', help='beside FPFH + RANSAC and KISS-Matcher (extra bench)'
+    )
+    p.add_argument('--data', action='store_true',
+                   help='measure the making of pairs, beside ray casting alone')  # fmt: skip
+    p.add_argument('--pairs', type=COUNT, default=24, metavar='N',
+                   help='with --data: pairs of each split (default 24)')  # fmt: skip
     _weights(p)
 
 

@@ -30,10 +30,18 @@ FRAME_GAP_S = 0.1
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print."""
+    if args.data:
+        from hybridreg_ros.cli import bench_data
+
+        return bench_data.run(args)
     import torch
 
-    torch.set_num_threads(args.threads)
     source, target = _clouds(args)
+    if args.peers:
+        from hybridreg_ros.cli import bench_peers
+
+        return bench_peers.run(args, source, target)
+    torch.set_num_threads(args.threads)
     rest = _peak_mb()
     stages: dict[str, dict[str, list[float]]] = {}
     weights = _register(args, source, target, stages)

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from hybridreg_ros.cli.common import bar, progress, write_result
 from hybridreg_ros.cli.live import LiveOptions, replay_live
-from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.replay import outputs, report, report_tables, runner, session
 from hybridreg_ros.replay.bag_reader import open_bag
 from hybridreg_ros.replay.bag_writer import BagWriter
@@ -71,6 +70,6 @@ def kiss_icp_alone(path: Path, count: int | None = None) -> ReportRun:
     """
     with open_bag(path) as bag, bar(count, 'kiss-icp alone') as shown:
         truth = bag.ground_truth()
-        front_end = KissIcpAlone(OdometryConfig())
+        front_end = KissIcpAlone()
         log = runner.run(bag.frames(), front_end, tick=lambda _: shown.update())
     return report.ReportRun('kiss-icp alone', log, outputs.score_log(log, truth), truth)

@@ -1,28 +1,35 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""`hybridreg evaluate`: RR, IR, FMR, RRE, RTE of the network on folders of pairs."""
+"""`hybridreg evaluate`: RR, IR, FMR, RRE, RTE of the network or a baseline on folders of pairs."""
 
 from __future__ import annotations
 
+import datetime
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hybridreg_ros.cli.common import progress, write_result
 from hybridreg_ros.cli.many import each
+from hybridreg_ros.core import provenance
 from hybridreg_ros.core.errors import FileFormatError
-from hybridreg_ros.data.shards import open_split
-from hybridreg_ros.model.register import HybridReg
-from hybridreg_ros.training.evaluate import evaluate, recorded_pairs
+from hybridreg_ros.data.openers import open_pairs
+from hybridreg_ros.training.baselines import METHODS
+from hybridreg_ros.training.evaluate import evaluate, evaluate_method, recorded_pairs
+from hybridreg_ros.training.kept_scores import KeptScores
 from hybridreg_ros.training.report import EvalReport, PairScore, to_markdown
+from hybridreg_ros.training.variants import load_variant
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Sequence
+    from collections.abc import Iterator
     from pathlib import Path
 
-    from hybridreg_ros.data.pair import PointPair
+    from hybridreg_ros.data.loaders import PairSource
+    from hybridreg_ros.model.register import HybridReg
 
 PAIRS_PER_TASK = 20
+OURS = 'hybridreg'
+BENCHED = ('open3d-cpu', 'kiss-matcher')
 
 
 @dataclass(frozen=True)
@@ -30,33 +37,39 @@ class Task:
     """Some pairs of one folder.
 
     Attributes:
-        folder: shards, or recorded pairs.
+        folder: pairs.
         rows: numbers of the pairs.
         weights: checkpoint, None for the packaged one.
+        method: one of our variants, or of the baselines.
     """
 
     folder: Path
     rows: tuple[int, ...]
     weights: Path | None
+    method: str = OURS
 
 
 def run(args: argparse.Namespace) -> int:
     """Score every pair, print one table."""
-    HybridReg.from_pretrained(args.weights)  # bad weights are said before anything is scheduled
-    size = 1 if args.workers == 1 and args.scheduler is None else PAIRS_PER_TASK
-    tasks = [
-        Task(folder, tuple(rows[k : k + size]), args.weights)
-        for folder in args.data
-        for rows in [range(_count(folder, args.limit))]
-        for k in range(0, len(rows), size)
-    ]
+    about: dict[str, Any] = {'method': args.method}
+    if args.method not in METHODS:
+        load_variant(args.method, args.weights)  # what is wrong is said before any scheduling
+        about['weights'] = 'packaged' if args.weights is None else provenance.sha256(args.weights)
+    kept = KeptScores(args.keep, about)
+    tasks = [task for folder in args.data for task in _missing(args, folder, kept)]
     done = each(scores_of, tasks, args.workers, args.scheduler)
-    scores = [s for part in progress(done, len(tasks), 'evaluate', 'task') for s in part]
-    about = {
-        'data': [str(folder) for folder in args.data],
-        'weights': str(args.weights or 'packaged'),
+    for part in progress(done, len(tasks), 'evaluate', 'task'):
+        for score in part:
+            kept.add(score)
+    scores = [score for folder in args.data for score in _all(args, folder, kept)]
+    about |= {
+        'data': [folder.resolve().name for folder in args.data],
+        'limit': args.limit,
+        'versions': {name: provenance.version(name) for name in BENCHED},
+        'git': provenance.git_hash(),
+        'date': datetime.datetime.now(datetime.UTC).date().isoformat(),
     }
-    report = EvalReport('hybridreg', tuple(scores), about)
+    report = EvalReport(args.method, tuple(scores), about)
     table = to_markdown([report])
     print(table, end='')
     if args.markdown is not None:
@@ -66,36 +79,57 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _pairs(folder: Path) -> Sequence[PointPair]:
-    """Pairs of a folder of shards or of recorded pairs.
+def _pairs(folder: Path) -> PairSource:
+    """Pairs of a folder of any format.
 
     Raises:
-        FileFormatError: it is neither of both.
+        FileFormatError: it is none.
     """
-    if not folder.is_dir():
-        raise FileFormatError(f'no folder of pairs at {folder}')
-    return recorded_pairs(folder) if (folder / 'pairs.json').exists() else open_split(folder)
+    return recorded_pairs(folder) if (folder / 'pairs.json').exists() else open_pairs(folder)
 
 
-def _count(folder: Path, limit: int | None) -> int:
-    count = len(_pairs(folder))
-    if not count:
+def _count(pairs: PairSource, folder: Path, limit: int | None) -> int:
+    if not len(pairs):
         raise FileFormatError(f'{folder} holds no pairs: make some with `hybridreg generate`')
-    return count if limit is None else min(count, limit)
+    return len(pairs) if limit is None else min(len(pairs), limit)
+
+
+def _missing(args: argparse.Namespace, folder: Path, kept: KeptScores) -> Iterator[Task]:
+    """Tasks for the pairs of a folder that have no score yet."""
+    pairs = _pairs(folder)
+    rows = [
+        row
+        for row in range(_count(pairs, folder, args.limit))
+        if args.keep is None or kept.of(pairs[row]) is None
+    ]
+    size = 1 if args.workers == 1 and args.scheduler is None else PAIRS_PER_TASK
+    for k in range(0, len(rows), size):
+        yield Task(folder, tuple(rows[k : k + size]), args.weights, args.method)
+
+
+def _all(args: argparse.Namespace, folder: Path, kept: KeptScores) -> Iterator[PairScore]:
+    """Scores of the pairs of a folder."""
+    pairs = _pairs(folder)
+    for row in range(_count(pairs, folder, args.limit)):
+        score = kept.of(pairs[row])
+        assert score is not None, 'every pair has been scored'
+        yield score
 
 
 def scores_of(task: Task) -> tuple[PairScore, ...]:
     """Score the pairs of one task."""
-    model = _model(task.weights)
-    pairs = _pairs(task.folder)
-    return evaluate(model, (pairs[row] for row in task.rows)).scores
+    source = _pairs(task.folder)
+    pairs = (source[row] for row in task.rows)
+    if task.method in METHODS:
+        return evaluate_method(task.method, METHODS[task.method], pairs).scores
+    return evaluate(_model(task.method, task.weights), pairs).scores
 
 
-_LOADED: dict[Path | None, HybridReg] = {}
+_LOADED: dict[tuple[str, Path | None], HybridReg] = {}
 
 
-def _model(weights: Path | None) -> HybridReg:
+def _model(variant: str, weights: Path | None) -> HybridReg:
     """Model of this process, loaded once."""
-    if weights not in _LOADED:
-        _LOADED[weights] = HybridReg.from_pretrained(weights)
-    return _LOADED[weights]
+    if (variant, weights) not in _LOADED:
+        _LOADED[variant, weights] = load_variant(variant, weights)
+    return _LOADED[variant, weights]

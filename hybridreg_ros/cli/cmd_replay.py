@@ -24,6 +24,15 @@ INTERRUPTED = 'interrupted (Ctrl-C)'
 
 def run(args: argparse.Namespace) -> int:
     """Replay every bag, print one table, say where the results are."""
+    if args.suite is not None:
+        from hybridreg_ros.cli import cmd_suite
+
+        return cmd_suite.run(args)
+    if not args.bags:
+        raise BagError(
+            'no bag given: name one or more, or a benchmark with --suite '
+            '(see hybridreg replay --help)'
+        )
     jobs = _jobs(args)
     if args.live:
         from hybridreg_ros.cli.live import LiveOptions, check_options, replay_live

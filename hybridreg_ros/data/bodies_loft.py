@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.data.bodies_rig import Part
+from hybridreg_ros.data.geometry import cross
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -100,7 +101,7 @@ def _rings(centre: F64, r: F64, side_axis: F64, sides: int, square: float) -> F6
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
     first = side_axis - tangent * (tangent @ side_axis)[:, None]
     first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-9)
-    second = np.cross(tangent, first)
+    second = cross(tangent, first)
     phi = 2.0 * np.pi * np.arange(sides) / sides
     c, s = np.cos(phi), np.sin(phi)
     x = np.sign(c) * np.abs(c) ** (2.0 / square)

@@ -78,17 +78,37 @@ def read_depth_m(path: str | Path, units_per_m: float = 1000.0) -> NDArray[np.fl
     return depth
 
 
+def organised_points(
+    depth_m: NDArray[np.float32],
+    camera: Intrinsics,
+    max_depth_m: float = np.inf,
+    pixel_step: int = 1,
+) -> NDArray[np.float32]:
+    """Points (H, W, 3) of a depth image: optical frame (x right, y down, z ahead); NaN = none.
+
+    Args:
+        depth_m: depth along the optical axis, metres; NaN, inf and values <= 0 are no return.
+        camera: intrinsics of this resolution.
+        max_depth_m: farther pixels are no return.
+        pixel_step: take every n-th row and column.
+    """
+    z = depth_m[::pixel_step, ::pixel_step]
+    z = np.where((z > 0.0) & (z <= max_depth_m) & np.isfinite(z), z, np.float32(np.nan))
+    rows, columns = (pixel_step * np.arange(n) for n in z.shape)
+    x = (columns[None, :] - camera.cx) / camera.fx * z
+    y = (rows[:, None] - camera.cy) / camera.fy * z
+    return np.stack([x, y, z], axis=-1).astype(np.float32)
+
+
 def depth_to_points(
     depth_m: NDArray[np.float32], camera: Intrinsics, max_depth_m: float = np.inf
 ) -> NDArray[np.float32]:
-    """Points (N, 3) of a depth image: optical frame (x right, y down, z ahead), row by row.
+    """Points (N, 3) of the pixels of a depth image that have a return, row by row.
 
     Args:
-        depth_m: (H, W) along the optical axis, metres; NaN, inf and values <= 0 are skipped.
+        depth_m: as `organised_points`.
         camera: intrinsics of this resolution.
         max_depth_m: farther pixels are skipped.
     """
-    v, u = np.nonzero(np.isfinite(depth_m) & (depth_m > 0.0) & (depth_m <= max_depth_m))
-    z = depth_m[v, u]
-    points = [(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z]
-    return np.stack(points, axis=1).astype(np.float32)
+    points = organised_points(depth_m, camera, max_depth_m)
+    return points[np.isfinite(points[..., 2])]

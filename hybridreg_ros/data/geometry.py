@@ -40,6 +40,16 @@ def random_rotation(rng: np.random.Generator) -> F64:
     )
 
 
+def cross(a: ArrayLike, b: ArrayLike) -> F64:
+    """Cross product of rows (..., 3): the bits of np.cross at a fraction of its overhead."""
+    p, q = np.asarray(a, np.float64), np.asarray(b, np.float64)
+    x, y, z, u, v, w = p[..., 0], p[..., 1], p[..., 2], q[..., 0], q[..., 1], q[..., 2]
+    first = y * w - z * v
+    product = np.empty((*first.shape, 3))
+    product[..., 0], product[..., 1], product[..., 2] = first, z * u - x * w, x * v - y * u
+    return product
+
+
 def moved(
     mesh: Mesh,
     t: ArrayLike = (0.0, 0.0, 0.0),

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from hybridreg_ros.data.hybridmatch_world import World
     from hybridreg_ros.data.pair import PointPair
 
-GENERATOR_VERSION = 3
+GENERATOR_VERSION = 4
 """Changes whenever the same seed gives other bytes."""
 
 SCENES, KINDS = ('room', 'street'), ('match', 'lomatch')

@@ -13,6 +13,7 @@ from hybridreg_ros.core.se3 import apply, exp, inverse
 from hybridreg_ros.data.geometry import voxel_thin
 from hybridreg_ros.data.hybridmatch_views import MIN_USEFUL
 from hybridreg_ros.data.pair import Label, PointPair
+from hybridreg_ros.data.truth import Truth
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -69,10 +70,12 @@ class Sample:
         displacement_m: mean displacement of the key figure's vertices between both clouds.
         still: (K, 3) float32 the target as it looks while everything stands as in the source,
             target sensor frame; None unless asked for.
+        truth: how it came about.
     """
 
     pair: PointPair
     displacement_m: float
+    truth: Truth
     still: F32 | None = None
 
 
@@ -107,8 +110,9 @@ def take_sample(
     if min(len(source.points), len(target.points)) < _MIN_POINTS:
         return None
     T = inverse(poses[j]) @ poses[i]
-    overlap = _overlap(world.camera, source, target, T)
+    seen = _seen(world.camera, source, target, T)
     static = int((source.label == Label.STATIC).sum())
+    overlap = float(seen.sum()) / max(static, 1)
     moving = (source.label > 0).sum() + (target.label > 0).sum()
     share = float(moving) / (len(source.label) + len(target.label))
     low, high = cell.overlap
@@ -125,7 +129,9 @@ def take_sample(
         twin = target.points
     else:
         twin = _cloud(rng, world, poses[j], t_source, cell).points
-    return Sample(pair, 0.0 if cell.frozen else world.displacement_m, twin)
+    sigma = world.camera.noise.sigma_m(source.points[:, 2]).astype(np.float32)
+    truth = Truth(world.stage.scene.movers, (t_source, t_target), poses[i], sigma, seen)
+    return Sample(pair, 0.0 if cell.frozen else world.displacement_m, truth, twin)
 
 
 def choose_views(
@@ -212,19 +218,21 @@ def _small_motion(rng: np.random.Generator, shift_m: float, turn_rad: float) -> 
     return exp(np.concatenate([rng.normal(0.0, shift_m, 3), turn]))
 
 
-def _overlap(camera: DepthCamera, source: _Cloud, target: _Cloud, T_target_source: F64) -> float:
-    """Share of the static source points that an image of the target shows, by true depth."""
+def _seen(
+    camera: DepthCamera, source: _Cloud, target: _Cloud, T_target_source: F64
+) -> NDArray[np.bool_]:
+    """Which source points (N,) are static and shown by an image of the target, by true depth."""
     static = source.label == Label.STATIC
-    if not static.any():
-        return 0.0
     true = apply(T_target_source, source.true[static].astype(np.float64)).astype(np.float64)
-    seen = np.zeros(len(true), np.bool_)
+    shown = np.zeros(len(true), np.bool_)
     frozen = not target.label.any()
     for T_base_view, image in target.images:
         local = apply(inverse(T_base_view), true).astype(np.float64)
         background = np.ones_like(image.clean, np.bool_) if frozen else image.label == 0
-        seen |= visible(camera, local, image.clean, background)
-    return float(seen.mean())
+        shown |= visible(camera, local, image.clean, background)
+    seen = np.zeros(len(static), np.bool_)
+    seen[static] = shown
+    return seen
 
 
 def visible(

@@ -113,7 +113,6 @@ class SpinningLidar:
         rng: np.random.Generator,
         *,
         loss: F32 | None = None,
-        slices: int = 8,
         frozen_s: float | None = None,
     ) -> LidarScan:
         """Take one scan that starts at a time.
@@ -124,7 +123,6 @@ class SpinningLidar:
             pose_at: T_world_sensor (4, 4) as a function of the time in seconds.
             rng: source of the noise.
             loss: (F,) share of lost rays per static triangle (glass), or None.
-            slices: times at which the movers are posed during the turn.
             frozen_s: the movers stand still as at this time; None lets them move.
         """
         times = np.arange(self.columns) / (self.columns * self.rate_hz)
@@ -132,9 +130,7 @@ class SpinningLidar:
         rays = self.directions()
         d = np.einsum('wij,hwj->hwi', T_world[:, :3, :3], rays).astype(np.float32)
         o = np.broadcast_to(T_world[:, :3, 3].astype(np.float32), d.shape)
-        distance, normal, instance, face = cast_turn(
-            caster, o, d, time_s + times, slices, frozen_s
-        )
+        distance, normal, instance, face = cast_turn(caster, o, d, time_s + times, frozen_s)
         lost = self._lost(rng, distance, normal, d, o, face, instance, loss)
         distance = np.where(lost, np.float32(np.nan), distance)
         instance = np.where(lost, 0, instance).astype(np.uint16)
@@ -147,6 +143,17 @@ class SpinningLidar:
             rays * measured[..., None], times, true.astype(np.float32),
             caster.labels(instance), instance, np.where(lost, -1, face), T_start,
         )  # fmt: skip
+
+    def _range_sigma_m(self, range_m: F32) -> F32:
+        """Standard deviation of the random error of ranges."""
+        sigma: F32 = self.noise_m * (1.0 + 0.004 * range_m)
+        return sigma
+
+    def sigma_m(self, range_m: F32) -> F32:
+        """Standard deviation of all errors of ranges together, metres."""
+        steady = self.ring_bias_m**2 + self.quantum_m**2 / 12.0
+        sigma: F32 = np.sqrt(self._range_sigma_m(range_m) ** 2 + steady).astype(np.float32)
+        return sigma
 
     def _lost(
         self, rng: np.random.Generator, distance: F32, normal: F32, d: F32, o: NDArray[np.float32],
@@ -171,7 +178,7 @@ class SpinningLidar:
         """Ranges (H, W) with noise, beam errors, mixed returns at edges, and quantisation."""
         device = np.random.default_rng(self.seed + 1)
         bias = device.normal(0.0, self.ring_bias_m, (len(distance), 1))
-        noise = self.noise_m * (1.0 + 0.004 * np.nan_to_num(distance))
+        noise = self._range_sigma_m(np.nan_to_num(distance))
         r = distance + bias + noise * rng.normal(size=distance.shape)
         beyond = np.roll(distance, -1, axis=1)
         step = beyond - distance

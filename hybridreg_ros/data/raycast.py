@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from time import perf_counter
+from time import thread_time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +14,8 @@ from hybridreg_ros.core.errors import DependencyError
 from hybridreg_ros.data.scene import Hits, merge
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from hybridreg_ros.data.scene import Mesh, Scene
@@ -41,6 +43,22 @@ class Trace:
     face: NDArray[np.int32]
 
 
+@dataclass
+class CastClock:
+    """What ray casting has cost this process so far.
+
+    Attributes:
+        seconds: processor time inside Embree, building and querying.
+        rays: number of rays.
+    """
+
+    seconds: float = 0.0
+    rays: int = 0
+
+
+CLOCK = CastClock()
+
+
 class _Triangles:
     """One committed Embree scene."""
 
@@ -53,31 +71,29 @@ class _Triangles:
                 f'ray casting needs embreex ({error}): pip install "hybridreg_ros[data]"'
             ) from None
         corners = np.ascontiguousarray(mesh.vertices[mesh.faces], dtype=np.float32)
+        start = thread_time()
         self._scene: Any = EmbreeScene()
         TriangleMesh(self._scene, corners)
         # Embree commits at the first query: pay for it here, not in the first image.
         self._scene.run(np.zeros((1, 3), np.float32), np.eye(1, 3, dtype=np.float32))
+        CLOCK.seconds += thread_time() - start
 
     def run(self, origins: F32, directions: F32, limit: F32) -> dict[str, Any]:
+        start = thread_time()
         result: dict[str, Any] = self._scene.run(origins, directions, dists=limit, output=1)
+        CLOCK.seconds += thread_time() - start
+        CLOCK.rays += len(origins)
         return result
 
 
 class Caster:
-    """Casts rays into a `Scene` at any time.
-
-    Attributes:
-        cast_s: seconds spent inside Embree so far (queries and building).
-    """
+    """Casts rays into a `Scene` at any time."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self.cast_s = 0.0
-        start = perf_counter()
         self._static = _Triangles(scene.static) if len(scene.static.faces) else None
-        self.cast_s += perf_counter() - start
         self._labels = np.array([0, *(int(m.label) for m in scene.movers)], np.uint8)
-        self._moving: dict[float, tuple[_Triangles, NDArray[np.uint16]]] = {}
+        self._moving: dict[float, Posed] = {}
 
     def cast(self, time_s: float, origins: F32, directions: F32) -> Hits:
         """Nearest hit of every ray.
@@ -105,38 +121,57 @@ class Caster:
         instance = np.zeros(n, np.uint16)
         limit = np.full(n, _FAR_M, np.float32)
         if self._static is not None:
-            start = perf_counter()
             found = self._static.run(origins, directions, limit)
-            self.cast_s += perf_counter() - start
             hit = found['primID'] >= 0
             distance[hit] = found['tfar'][hit]
             normal[hit] = found['Ng'][hit]
             face[hit] = found['primID'][hit]
             limit = np.where(hit, distance, _FAR_M)
         if movers and self.scene.movers:
-            triangles, owner = self._posed_movers(time_s)
-            start = perf_counter()
-            found = triangles.run(origins, directions, limit)
-            self.cast_s += perf_counter() - start
+            posed = self._posed_movers(time_s)
+            found = posed.triangles.run(origins, directions, limit)
             hit = found['primID'] >= 0
             distance[hit] = found['tfar'][hit]
             normal[hit] = found['Ng'][hit]
             face[hit] = -1
-            instance[hit] = owner[found['primID'][hit]]
+            instance = posed.owner[found['primID']]
         return Trace(distance, instance, _facing(normal, directions), face)
 
-    def _posed_movers(self, time_s: float) -> tuple[_Triangles, NDArray[np.uint16]]:
-        """Movers' triangles at a time and the instance of each; the last few times are kept."""
+    def _posed_movers(self, time_s: float) -> Posed:
+        """The movers at a time; the last few times are kept."""
         if time_s not in self._moving:
             meshes = [m.mesh_at(time_s) for m in self.scene.movers]
-            owners = [np.full(len(m.faces), k + 1, np.uint16) for k, m in enumerate(meshes)]
-            start = perf_counter()
-            triangles = _Triangles(merge(meshes))
-            self.cast_s += perf_counter() - start
+            posed = Posed(meshes)
             while len(self._moving) >= _KEPT_TIMES:
                 del self._moving[next(iter(self._moving))]
-            self._moving[time_s] = (triangles, np.concatenate(owners))
+            self._moving[time_s] = posed
         return self._moving[time_s]
+
+
+class Posed:
+    """Some meshes by themselves.
+
+    Attributes:
+        triangles: of all of them.
+        owner: (F + 1,) uint16 number of the mesh of each triangle, from 1; the last is 0.
+    """
+
+    def __init__(self, meshes: Sequence[Mesh]) -> None:
+        owners = [np.full(len(m.faces), k + 1, np.uint16) for k, m in enumerate(meshes)]
+        self.owner = np.append(np.concatenate(owners), np.uint16(0))
+        self.triangles = _Triangles(merge(meshes))
+
+    def trace(self, origins: F32, directions: F32) -> Trace:
+        """Nearest hit of rays (R, 3), unit directions; `face` is -1 throughout."""
+        origins, directions = np.ascontiguousarray(origins), np.ascontiguousarray(directions)
+        found = self.triangles.run(origins, directions, np.full(len(origins), _FAR_M, np.float32))
+        miss = found['primID'] < 0
+        return Trace(
+            np.where(miss, np.float32(np.inf), found['tfar']),
+            self.owner[found['primID']],
+            _facing(np.where(miss[:, None], np.float32(0.0), found['Ng']), directions),
+            np.full(len(miss), -1, np.int32),
+        )
 
 
 def _facing(normal: F32, directions: F32) -> F32:

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hybridreg_ros.data.geometry import cross
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -234,11 +236,11 @@ def random_camera(rng: np.random.Generator) -> DepthCamera:
 def look_at(eye: F64, target: F64, roll_rad: float = 0.0) -> F64:
     """Pose T_world_camera (4, 4) of an optical frame at `eye` that looks at `target`, z up."""
     z = (target - eye) / max(float(np.linalg.norm(target - eye)), 1e-9)
-    side = np.cross(z, [0.0, 0.0, 1.0])
+    side = cross(z, [0.0, 0.0, 1.0])
     if np.linalg.norm(side) < 1e-6:
         side = np.array([1.0, 0.0, 0.0])
     x = side / np.linalg.norm(side)
-    y = np.cross(z, x)
+    y = cross(z, x)
     c, s = np.cos(roll_rad), np.sin(roll_rad)
     T = np.eye(4)
     T[:3, :3] = np.stack([c * x + s * y, c * y - s * x, z], axis=1)

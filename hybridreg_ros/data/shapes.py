@@ -12,6 +12,8 @@ from hybridreg_ros.data.geometry import SmoothNoise
 from hybridreg_ros.data.scene import Mesh, merge
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import ArrayLike, NDArray
 
     F64 = NDArray[np.float64]
@@ -126,16 +128,28 @@ def tube(path: ArrayLike, radius: ArrayLike, segments: int = 8) -> Mesh:
     r = np.broadcast_to(np.asarray(radius, np.float64), (len(p),))
     tangent = np.gradient(p, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
-    seed = np.eye(3)[np.argmin(np.abs(tangent[0]))]
     angle = np.linspace(0.0, 2.0 * np.pi, segments, endpoint=False)
-    loops = []
-    for point, t, rho in zip(p, tangent, r, strict=True):
-        a = np.cross(t, seed)
-        a /= max(float(np.linalg.norm(a)), 1e-9)
-        b = np.cross(t, a)
-        seed = np.cross(a, t)
-        loops.append(point + rho * (np.cos(angle)[:, None] * a + np.sin(angle)[:, None] * b))
-    return rings(np.stack(loops))
+    first, second = _frames(tangent)
+    across = np.cos(angle)[:, None] * first[:, None] + np.sin(angle)[:, None] * second[:, None]
+    return rings(p[:, None] + r[:, None, None] * across)
+
+
+def _frames(tangent: F64) -> tuple[F64, F64]:
+    """Two unit vectors (n, 3) across each unit tangent, that turn as little as they can."""
+    seed = tuple(np.eye(3)[np.argmin(np.abs(tangent[0]))].tolist())
+    first, second = [], []
+    for t in tangent.tolist():
+        a = _cross(t, seed)
+        size = max((a[0] * a[0] + a[1] * a[1] + a[2] * a[2]) ** 0.5, 1e-9)
+        a = (a[0] / size, a[1] / size, a[2] / size)
+        first.append(a)
+        second.append(_cross(t, a))
+        seed = _cross(a, t)
+    return np.array(first), np.array(second)
+
+
+def _cross(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float]:
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 def capsule(start: ArrayLike, end: ArrayLike, radius: float, segments: int = 8) -> Mesh:

@@ -112,7 +112,7 @@ def _share(world: StreetWorld, caster: Caster, lidar: SpinningLidar, times: F64)
     for time_s in np.linspace(times[0], times[-1], min(_GLANCES, len(times))).tolist():
         rng = np.random.default_rng(0)
         scan = coarse.scan(
-            caster, time_s, world.path.pose_at, rng, loss=world.loss, slices=1, frozen_s=time_s
+            caster, time_s, world.path.pose_at, rng, loss=world.loss, frozen_s=time_s
         )
         seen = np.isfinite(scan.points[..., 0])
         shares.append(float((scan.label > 0)[seen].mean()) if seen.any() else 0.0)

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hybridreg_ros.core.errors import ConfigError, FileFormatError, HybridRegError
-from hybridreg_ros.data.hybridmatch import GENERATOR_VERSION, scene_of
+from hybridreg_ros.data.hybridmatch import GENERATOR_VERSION, SPLITS, scene_of
 from hybridreg_ros.data.shards import read_offsets, write_shard
-from hybridreg_ros.data.splits_files import LAYOUTS, clean, write_text
+from hybridreg_ros.data.splits_files import LAYOUTS, NOTES, clean, write_text
 from hybridreg_ros.data.splits_summary import SplitSummary, read_summary, summarise
 from hybridreg_ros.data.splits_work import Block, Row, results
 
@@ -33,9 +33,24 @@ SEED_RANGES = {
 }
 """Scene seeds of each part; those from 9,000,000 upwards are left to outside checks."""
 
+SEEDS_PER_SPLIT = 200_000
+PAIRS = {'val': {'room': 100, 'street': 100}, 'test': {'room': 1000, 'street': 200}}
+"""Pairs of each split of a part, per scene."""
 BLOCK, TRAIN_BLOCK = 4, 8
-_NOTES = '.blocks'
 _MOST_EMPTY = 480
+
+
+def first_seed(part: str, split: str) -> int:
+    """First scene seed of a split in a part; no two splits of a part share a scene.
+
+    Raises:
+        ConfigError: the part or the split is unknown.
+    """
+    if part not in SEED_RANGES:
+        raise ConfigError(f'part: expected one of {", ".join(SEED_RANGES)}, found {part!r}')
+    scene_of(split)
+    low = SEED_RANGES[part][0]
+    return low + (SEEDS_PER_SPLIT * SPLITS.index(split) if split in SPLITS else 0)
 
 
 def seed_range(seed: int) -> tuple[int, int]:
@@ -122,7 +137,7 @@ def generate_split(
         summary = summarise(split, seed, layout, scenes, rows)
         write_text(folder / 'split.json', json.dumps(asdict(summary), indent=1) + '\n')
     report(pairs, pairs)
-    shutil.rmtree(folder / _NOTES, ignore_errors=True)
+    shutil.rmtree(folder / NOTES, ignore_errors=True)
     clean(folder)
     return summary
 
@@ -143,7 +158,7 @@ def _claim(folder: Path, job: _Job, pairs: int) -> SplitSummary | None:
             f'{folder} holds {known.pairs} pairs of {_said(there)}, asked for were {pairs} of '
             f'{_said(job)}: choose another folder'
         )
-    note = folder / _NOTES / 'job.json'
+    note = folder / NOTES / 'job.json'
     if note.exists():
         there = _Job(**json.loads(note.read_text(encoding='utf-8')))
         if there != job:
@@ -152,7 +167,7 @@ def _claim(folder: Path, job: _Job, pairs: int) -> SplitSummary | None:
                 'choose another folder'
             )
         return None
-    if any(p.name != _NOTES for p in folder.iterdir()):
+    if any(p.name != NOTES for p in folder.iterdir()):
         raise ConfigError(f'{folder} is neither empty nor a begun split: choose another folder')
     note.parent.mkdir(exist_ok=True)
     write_text(note, json.dumps(asdict(job)) + '\n')
@@ -185,14 +200,14 @@ def _blocks(
         return
     for made_block, made in results(chain([block], blocks), workers, scheduler):
         store.write(folder, made_block.first_seed, made)
-        note = folder / _NOTES / f'{made_block.first_seed:07d}.json'
+        note = folder / NOTES / f'{made_block.first_seed:07d}.json'
         write_text(note, json.dumps([asdict(row) for row in made.rows]) + '\n')
         yield made_block, list(made.rows)
 
 
 def _noted(folder: Path, store: Layout, block: Block) -> list[Row] | None:
     """Rows of a block that an earlier run wrote completely; None when there is no such."""
-    note = folder / _NOTES / f'{block.first_seed:07d}.json'
+    note = folder / NOTES / f'{block.first_seed:07d}.json'
     try:
         rows = [Row(**row) for row in json.loads(note.read_text(encoding='utf-8'))]
         return rows if store.complete(folder, block.first_seed, rows) else None

@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from hybridreg_ros.data.splits_work import Made, Row
 
 
+NOTES = '.blocks'
+"""Folder in a begun split with what is known of each finished block."""
+
+
 def pack(sample: Sample, layout: str) -> dict[str, bytes]:
     """Files of one pair by name, as a layout wants them.
 

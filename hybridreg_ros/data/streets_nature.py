@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hybridreg_ros.data.geometry import SmoothNoise, moved
+from hybridreg_ros.data.geometry import SmoothNoise, cross, moved
 from hybridreg_ros.data.scene import Mesh, merge
 from hybridreg_ros.data.shapes import blob, grid, tube
 
@@ -29,7 +29,7 @@ def foliage(rng: np.random.Generator, points: F64, size_m: float) -> Mesh:
     n = len(points)
     a = rng.normal(size=(n, 3))
     a /= np.linalg.norm(a, axis=1, keepdims=True)
-    b = np.cross(a, rng.normal(size=(n, 3)))
+    b = cross(a, rng.normal(size=(n, 3)))
     b /= np.maximum(np.linalg.norm(b, axis=1, keepdims=True), 1e-9)
     half = size_m * rng.uniform(0.3, 0.8, (n, 1))
     corners = [points - half * a, points - half * b, points + half * a, points + 0.8 * half * b]

@@ -17,6 +17,7 @@ from hybridreg_ros.data.lidar import SpinningLidar, random_lidar
 from hybridreg_ros.data.pair import PointPair
 from hybridreg_ros.data.raycast import Caster
 from hybridreg_ros.data.streets import StreetWorld, make_street
+from hybridreg_ros.data.truth import Truth
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -29,7 +30,8 @@ _SEEN_M = 0.3
 _MIN_POINTS = 900
 _MAX_POINTS = 15000
 _MIN_SHARED = 250
-_COLUMNS = 720
+_RAYS, _FEWEST_COLUMNS = 80_000, 720
+_DESKEW_ERROR = 0.03
 _CROPS_M = (80.0, 60.0, 45.0, 34.0, 26.0, 20.0, 15.0, 12.0)
 
 
@@ -43,6 +45,7 @@ class _View:
         label: (N,) uint8.
         instance: (N,) uint16.
         plane: (N,) number of the large flat part, 0 = none.
+        sigma_m: (N,) float32 standard deviation of the error of each point.
         T_world_sensor: (4, 4) at the stamp.
         time_s: of the stamp.
     """
@@ -52,13 +55,15 @@ class _View:
     label: NDArray[np.uint8]
     instance: NDArray[np.uint16]
     plane: NDArray[np.int32]
+    sigma_m: F32
     T_world_sensor: F64
     time_s: float
 
     def rows(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> _View:
         """The view of some points."""
         return _View(self.points[keep], self.true[keep], self.label[keep], self.instance[keep],
-                     self.plane[keep], self.T_world_sensor, self.time_s)  # fmt: skip
+                     self.plane[keep], self.sigma_m[keep], self.T_world_sensor,
+                     self.time_s)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +119,7 @@ def street_cell(
     low_overlap = cell.overlap[1] <= 0.5
     world = make_street(rng, None, (min(wanted[0], 0.9), min(wanted[1], 1.0)), travel_m=45.0)
     caster = Caster(world.scene)
-    lidar = random_lidar(rng, columns=_COLUMNS)
+    lidar = _affordable(random_lidar(rng))
     samples: list[Sample] = []
     speed = world.path.ride.speed_mps
     target = _take(rng, world, caster, lidar, float(rng.uniform(0.0, 15.0)) / speed, None)
@@ -127,15 +132,26 @@ def street_cell(
         made = _fit(own, source, target, cell)
         if made is None:
             continue
-        pair, crop = made
+        pair, crop, sigma, seen = made
         twin = None
         if still:
             twin = pair.target if cell.frozen else crop.of(
                 _take(own, world, caster, lidar, target.time_s, time_s, pose=target)
             ).points  # fmt: skip
         pair = replace(pair, name=f'{name}-{seed:07d}-{k}', seed=seed)
-        samples.append(Sample(pair, _displacement(world, pair, target.time_s, time_s, cell), twin))
+        still_s = time_s if frozen is None else frozen
+        truth = Truth(
+            world.scene.movers, (still_s, target.time_s), source.T_world_sensor, sigma, seen
+        )
+        moved_m = _displacement(world, pair, target.time_s, time_s, cell)
+        samples.append(Sample(pair, moved_m, truth, twin))
     return samples
+
+
+def _affordable(lidar: SpinningLidar) -> SpinningLidar:
+    """The lidar with fewer columns if it has many beams; 16 and 32 beams keep all of them."""
+    most = max(_FEWEST_COLUMNS, _RAYS // len(lidar.elevation_deg))
+    return replace(lidar, columns=min(lidar.columns, most))
 
 
 def _take(
@@ -162,22 +178,29 @@ def _take(
             return place
         return path.pose_from(s + speed * (t - time_s), t, offset_m=offset, turn_rad=turn)
 
-    scan = lidar.scan(caster, time_s, pose_at, rng, loss=world.loss, slices=4, frozen_s=frozen_s)
-    wrong = 1.0 + float(rng.normal(0.0, 0.03))
+    scan = lidar.scan(caster, time_s, pose_at, rng, loss=world.loss, frozen_s=frozen_s)
+    wrong = 1.0 + float(rng.normal(0.0, _DESKEW_ERROR))
     raw, best = scan.points, scan.deskewed()
     points = (raw + np.float32(wrong) * (best - raw)).reshape(-1, 3)
     rows = np.nonzero(np.isfinite(points).all(1))[0]
     rows = rows[np.argsort(rng.random(len(rows)), kind='stable')]
     plane = np.append(world.plane, 0)[scan.face.reshape(-1)[rows]]
     label, instance = scan.label.reshape(-1)[rows], scan.instance.reshape(-1)[rows]
+    skew = np.linalg.norm((best - raw).reshape(-1, 3)[rows], axis=1)
+    sigma = np.hypot(lidar.sigma_m(np.linalg.norm(points[rows], axis=1)), _DESKEW_ERROR * skew)
     return _View(points[rows], scan.true.reshape(-1, 3)[rows], label, instance,
-                 plane.astype(np.int32), pose_at(time_s), time_s)  # fmt: skip
+                 plane.astype(np.int32), sigma, pose_at(time_s), time_s)  # fmt: skip
 
 
 def _fit(
     rng: np.random.Generator, source: _View, target: _View, cell: Cell
-) -> tuple[PointPair, _Crop] | None:
-    """The first of some random crops with which a pair suits its cell, None when none does."""
+) -> tuple[PointPair, _Crop, F32, NDArray[np.bool_]] | None:
+    """The first of some random crops with which a pair suits its cell, None when none does.
+
+    Returns:
+        The pair, the crop, and of each source point the standard deviation (N,) of its error and
+        whether (N,) it is static and seen by the target.
+    """
     T = inverse(target.T_world_sensor) @ source.T_world_sensor
     planes = np.unique(np.concatenate([source.plane, target.plane]))
     ranges = rng.permutation(_CROPS_M) if cell.dynamic[0] < 0.25 else np.array(_CROPS_M)[::-1]
@@ -188,14 +211,17 @@ def _fit(
             drop = planes[(planes > 0) & (rng.random(len(planes)) < chance)]
             wide = np.pi if rng.random() < 0.7 else float(rng.uniform(0.9, 2.4))
             crop = _Crop(float(far), drop, (0.0, wide), thin)
-            pair = _measure(crop.of(source), crop.of(target), T, cell)
-            if pair is not None:
-                return pair, crop
+            mine = crop.of(source)
+            made = _measure(mine, crop.of(target), T, cell)
+            if made is not None:
+                return made[0], crop, mine.sigma_m, made[1]
     return None
 
 
-def _measure(source: _View, target: _View, T: F64, cell: Cell) -> PointPair | None:
-    """The pair of two cropped views, None when it does not suit the cell."""
+def _measure(
+    source: _View, target: _View, T: F64, cell: Cell
+) -> tuple[PointPair, NDArray[np.bool_]] | None:
+    """The pair of two cropped views and which source points are seen; None if it suits not."""
     if min(len(source.points), len(target.points)) < _MIN_POINTS:
         return None
     blank = np.zeros_like
@@ -211,8 +237,11 @@ def _measure(source: _View, target: _View, T: F64, cell: Cell) -> PointPair | No
     overlap = float(seen.mean()) if len(seen) else 0.0
     if not cell.overlap[0] < overlap < cell.overlap[1] or seen.sum() < _MIN_SHARED:
         return None
-    return PointPair(source.points, target.points, T, s_label, t_label, s_instance, t_instance,
+    both = np.zeros(len(s_label), np.bool_)
+    both[s_label == 0] = seen
+    pair = PointPair(source.points, target.points, T, s_label, t_label, s_instance, t_instance,
                      overlap, share, VOXEL_SIZE_M)  # fmt: skip
+    return pair, both
 
 
 def _displacement(

@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     F64 = NDArray[np.float64]
 
 UNITS_PER_M = 5000.0
-_CAMERAS = {
+CAMERAS = {
     'freiburg1': Intrinsics(517.3, 516.5, 318.6, 255.3),
     'freiburg2': Intrinsics(520.9, 521.0, 325.1, 249.7),
     'freiburg3': Intrinsics(535.4, 539.2, 320.1, 247.6),
 }
-_USUAL = Intrinsics(525.0, 525.0, 319.5, 239.5)
+USUAL_CAMERA = Intrinsics(525.0, 525.0, 319.5, 239.5)
 
 
 class TumRgbd(FramePairs):
@@ -58,7 +58,7 @@ class TumRgbd(FramePairs):
         self.files = [folder / names[k] for k in np.nonzero(good)[0]]
         self.times_s: F64 = times[good]
         self.max_depth_m = max_depth_m
-        self.camera = next((c for k, c in _CAMERAS.items() if k in folder.name), _USUAL)
+        self.camera = next((c for k, c in CAMERAS.items() if k in folder.name), USUAL_CAMERA)
         what = str(folder / 'groundtruth.txt')
         poses = np.stack([from_quaternion(r[1:4], r[4:8], what) for r in truth[near[good]]])
         super().__init__(folder, poses, pairs_stepped(len(poses), step), voxel_size_m)

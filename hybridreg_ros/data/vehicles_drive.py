@@ -11,7 +11,7 @@ import numpy as np
 
 from hybridreg_ros.core.se3 import transform
 from hybridreg_ros.data.bodies_rig import Pose, RigidMover, SkinnedMover
-from hybridreg_ros.data.geometry import moved, rot_x
+from hybridreg_ros.data.geometry import cross, moved, rot_x
 from hybridreg_ros.data.humans import human_rig
 from hybridreg_ros.data.humans_motion import BONES
 from hybridreg_ros.data.scene import merge
@@ -62,10 +62,10 @@ def ground_pose(place: F64, heading_rad: float, ground: Ground, reach_m: float) 
     x = np.array([*(2.0 * reach_m * ahead), front - back])
     y = np.array([*(1.5 * left), west - east])
     x /= np.linalg.norm(x)
-    z = np.cross(x, y)
+    z = cross(x, y)
     z /= np.linalg.norm(z)
     height = 0.25 * (front + back + west + east)
-    R = np.stack([x, np.cross(z, x), z], axis=1)
+    R = np.stack([x, cross(z, x), z], axis=1)
     return transform(R, np.array([place[0], place[1], height]))
 
 

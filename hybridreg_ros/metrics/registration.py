@@ -207,3 +207,21 @@ def bootstrap_interval(
     tail = 50.0 * (1.0 - level)
     low, high = np.percentile(means, [tail, 100.0 - tail])
     return float(low), float(high)
+
+
+def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
+    """95 % interval of a share, by Wilson; honest also near 0 and 1.
+
+    Returns:
+        (low, high); NaN for no trials.
+
+    >>> [round(v, 3) for v in wilson_interval(50, 100)]
+    [0.404, 0.596]
+    """
+    if trials == 0:
+        return float('nan'), float('nan')
+    z, share = 1.959964, successes / trials
+    scale = 1.0 + z * z / trials
+    middle = (share + z * z / (2.0 * trials)) / scale
+    half = z * float(np.sqrt(share * (1.0 - share) / trials + z * z / (4.0 * trials**2))) / scale
+    return max(middle - half, 0.0), min(middle + half, 1.0)

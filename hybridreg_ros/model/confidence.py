@@ -30,18 +30,19 @@ class ConfidenceFeatures:
         log_inliers: log(1 + point matches within the acceptance radius).
         inlier_ratio: their share of all point matches.
         agreeing: share of the patch hypotheses that agree with the final pose.
-        overlap: share of the trusted source points with a target point within one voxel.
+        overlap: share of the source points with a target point within one voxel.
         residual: root mean square distance of those, voxels.
         trust: mean of 1 - sigma2 over the superpoints of both clouds.
         constraint: smallest over largest eigenvalue of the translational information, 0 = the
             surfaces let the clouds slide (one plane, a corridor).
         correction: distance that the refinement moved the cloud's centre, voxels.
-        support: number of trusted source points with a target point within one voxel; not part
+        support: number of source points tried with a target point within one voxel; not part
             of the logistic model, see `Calibration.probability`.
         fit: share of both clouds that lies on the other, nearer counts more.
         intrusion: share of both clouds in space that the other's sensor looked through.
         lead: of the pose over the best one that differs, as a share of its score.
-        agreement: share of the point matches and superpoint pairs that agree.
+        agreement: share of the descriptor matches that agree.
+        matched: log(1 + descriptor matches that agree).
     """
 
     log_inliers: float = 0.0
@@ -57,9 +58,10 @@ class ConfidenceFeatures:
     intrusion: float = 0.0
     lead: float = 0.0
     agreement: float = 0.0
+    matched: float = 0.0
 
     def vector(self) -> NDArray[np.float64]:
-        """The features as (12,) float64, in the order of `feature_names`."""
+        """The features as (13,) float64, in the order of `feature_names`."""
         return np.array([getattr(self, name) for name in feature_names()])
 
 
@@ -71,7 +73,7 @@ def feature_names() -> tuple[str, ...]:
 def features_of(
     found: MatchOutput, estimate: PoseEstimate, refined: Refinement, verified: Verified | None
 ) -> ConfidenceFeatures:
-    """What the confidence looks at; without verification its four features stay 0."""
+    """What the confidence looks at; without verification its features stay 0."""
     inliers, matches = int(estimate.inliers.sum()), len(found.weights)
     sigma2 = np.concatenate([found.source_sigma2, found.target_sigma2])
     features = ConfidenceFeatures(
@@ -93,12 +95,13 @@ def features_of(
         intrusion=verified.intrusion,
         lead=verified.lead,
         agreement=verified.agreement,
+        matched=float(np.log1p(verified.matched)),
     )
 
 
 # Uncalibrated: chosen by hand so that an untrained network, a bare plane, or fewer than about 30
 # inliers stay below one half. Training fits these and stores them with the weights.
-_DEFAULT_WEIGHTS = (1.2, 2.0, 1.5, 3.0, -2.0, 0.0, 4.0, -0.3, 0.0, 0.0, 0.0, 0.0)
+_DEFAULT_WEIGHTS = (1.2, 2.0, 1.5, 3.0, -2.0, 0.0, 4.0, -0.3, 0.0, 0.0, 0.0, 0.0, 0.0)
 _DEFAULT_BIAS = -7.5
 _FULL_CONSTRAINT = 0.01
 _FULL_SUPPORT = 150

@@ -68,6 +68,9 @@ class ModelConfig:
         'pose: best of many hypotheses by the fit of the clouds, or from the point matches alone',
         choices=('verified', 'lgr', 'ransac'),
     )
+    ransac_samples: int = option(
+        0, 'best point matches that RANSAC draws from; 0 = all', low=0, high=100_000
+    )
 
     def __post_init__(self) -> None:
         """Check ranges and that the widths fit the groups and heads.

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.core import se3
+from hybridreg_ros.model.ops import compiled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -98,23 +99,44 @@ def batched_kabsch(source: F64, target: F64, weights: F64) -> F64:
         (B, 4, 4) transforms from source to target.
     """
     w = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
-    mu_s, mu_t = np.einsum('bn,bnc->bc', w, source), np.einsum('bn,bnc->bc', w, target)
-    H = np.einsum('bni,bn,bnj->bij', source - mu_s[:, None], w, target - mu_t[:, None])
+    mu_s, mu_t = (w[:, None] @ source)[:, 0], (w[:, None] @ target)[:, 0]
+    H = (w[..., None] * (source - mu_s[:, None])).transpose(0, 2, 1) @ (target - mu_t[:, None])
     U, _, Vt = np.linalg.svd(H)
     V, Ut = Vt.transpose(0, 2, 1), U.transpose(0, 2, 1)
     sign = np.ones((len(H), 3))
     sign[:, 2] = np.where(np.linalg.det(V @ Ut) < 0.0, -1.0, 1.0)
     T = np.tile(np.eye(4), (len(H), 1, 1))
     T[:, :3, :3] = (V * sign[:, None, :]) @ Ut
-    T[:, :3, 3] = mu_t - np.einsum('bij,bj->bi', T[:, :3, :3], mu_s)
+    T[:, :3, 3] = mu_t - (T[:, :3, :3] @ mu_s[..., None])[..., 0]
     return T
 
 
 def _residuals(T: F64, matches: PointMatches) -> F64:
     """Squared distances (B, C) of all matches under B transforms (B, 4, 4)."""
-    moved = np.einsum('bij,cj->bci', T[:, :3, :3], matches.source) + T[:, None, :3, 3]
-    squared: F64 = np.einsum('bci,bci->bc', moved - matches.target, moved - matches.target)
+    moved = matches.source @ T[:, :3, :3].transpose(0, 2, 1) + T[:, None, :3, 3]
+    squared: F64 = ((moved - matches.target) ** 2).sum(axis=2)
     return squared
+
+
+@compiled
+def weighted_inliers(T: F64, source: F64, target: F64, weights: F64, radius: float) -> F64:
+    """(B,) sum of the weights of the matches within `radius` under each of B transforms."""
+    out = np.zeros(T.shape[0])
+    r2 = radius * radius
+    for b in range(T.shape[0]):
+        for i in range(source.shape[0]):
+            d2 = 0.0
+            for k in range(3):
+                moved = (
+                    T[b, k, 0] * source[i, 0]
+                    + T[b, k, 1] * source[i, 1]
+                    + T[b, k, 2] * source[i, 2]
+                    + T[b, k, 3]
+                )
+                d2 += (moved - target[i, k]) ** 2
+            if d2 <= r2:
+                out[b] += weights[i]
+    return out
 
 
 def patch_hypotheses(matches: PointMatches) -> tuple[F64, NDArray[np.int64]]:
@@ -154,8 +176,9 @@ def lgr(matches: PointMatches, radius: float, rounds: int) -> PoseEstimate:
         if len(matches.weights) < MIN_MATCHES:
             return _nothing(matches)
         hypotheses = se3.kabsch(matches.source, matches.target, matches.weights)[None]
-    agree = _residuals(hypotheses, matches) <= radius * radius
-    best = int(np.argmax(agree.sum(axis=1)))
+    ones = np.ones(len(matches.weights))
+    agree = weighted_inliers(hypotheses, matches.source, matches.target, ones, radius)
+    best = int(np.argmax(agree))
     T = refine_pose(hypotheses[best], matches, radius, rounds)
     return judged(T, matches, radius, patches)
 
@@ -225,5 +248,5 @@ def ransac(
 def estimate_pose(matches: PointMatches, config: ModelConfig) -> PoseEstimate:
     """Pose from the point matches alone: RANSAC where the config says so, otherwise LGR."""
     if config.estimator == 'ransac':
-        return ransac(matches, config.acceptance_radius, config.refinements)
+        return ransac(matches, config.acceptance_radius, config.refinements, config.ransac_samples)
     return lgr(matches, config.acceptance_radius, config.refinements)

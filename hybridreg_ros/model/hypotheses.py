@@ -119,27 +119,6 @@ def consistent_hypotheses(
     return batched_kabsch(matches.source[rows], matches.target[rows], weight)
 
 
-@compiled
-def weighted_inliers(T: F64, source: F64, target: F64, weights: F64, radius: float) -> F64:
-    """(B,) sum of the weights of the matches within `radius` under each of B transforms."""
-    out = np.zeros(T.shape[0])
-    r2 = radius * radius
-    for b in range(T.shape[0]):
-        for i in range(source.shape[0]):
-            d2 = 0.0
-            for k in range(3):
-                moved = (
-                    T[b, k, 0] * source[i, 0]
-                    + T[b, k, 1] * source[i, 1]
-                    + T[b, k, 2] * source[i, 2]
-                    + T[b, k, 3]
-                )
-                d2 += (moved - target[i, k]) ** 2
-            if d2 <= r2:
-                out[b] += weights[i]
-    return out
-
-
 def distinct(T: F64, scores: F64, points: F64, spacing: float, count: int) -> I64:
     """The best of B transforms that move `points` by more than `spacing` from better ones.
 
@@ -153,7 +132,7 @@ def distinct(T: F64, scores: F64, points: F64, spacing: float, count: int) -> I6
     Returns:
         At most `count` rows of T, best first.
     """
-    moved = np.einsum('bij,kj->bki', T[:, :3, :3], points) + T[:, None, :3, 3]
+    moved = points @ T[:, :3, :3].transpose(0, 2, 1) + T[:, None, :3, 3]
     kept: list[int] = []
     for i in np.argsort(-scores, kind='stable'):
         gaps = np.linalg.norm(moved[kept] - moved[i], axis=2).mean(axis=1)

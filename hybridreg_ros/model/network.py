@@ -34,10 +34,6 @@ if TYPE_CHECKING:
     Tensor = torch.Tensor
 
 
-CANDIDATE_PAIRS = 256
-"""Superpoint pairs that pose hypotheses are made from, more than are opened."""
-
-
 @dataclass(frozen=True, eq=False)
 class Encoding:
     """One cloud after everything that does not need the other cloud (keep it with a keyframe).
@@ -108,7 +104,6 @@ class MatchOutput:
         source_sigma2: (S,) float32 uncertainty per superpoint.
         target_sigma2: (T,) float32.
         pairs: superpoint pairs that were opened, with their scores.
-        candidates: the best superpoint pairs, more than were opened.
         matches: the point matches in voxels.
         estimate: pose of LGR (or RANSAC) with its statistics, in voxels.
     """
@@ -121,7 +116,6 @@ class MatchOutput:
     source_sigma2: NDArray[np.float32]
     target_sigma2: NDArray[np.float32]
     pairs: SuperpointPairs
-    candidates: SuperpointPairs
     matches: PointMatches
     estimate: PoseEstimate
 
@@ -204,15 +198,13 @@ class HybridRegNet(nn.Module):
     def match(self, source: Encoding, target: Encoding) -> MatchOutput:
         """Transform, correspondences and uncertainty between two encodings (no gradient)."""
         coarse = self.correlate(source, target)
-        candidates = select_pairs(
+        pairs = select_pairs(
             coarse.source_features,
             coarse.target_features,
             coarse.source_sigma2,
             coarse.target_sigma2,
             self.config,
-            max(self.config.top_pairs, CANDIDATE_PAIRS),
         )
-        pairs = candidates.first(self.config.top_pairs)
         patches = self.patch_scores(source, target, pairs.index)
         matches, estimate = self._pose(source.pyramid, target.pyramid, patches)
         return MatchOutput(
@@ -224,7 +216,6 @@ class HybridRegNet(nn.Module):
             coarse.source_sigma2.cpu().numpy(),
             coarse.target_sigma2.cpu().numpy(),
             pairs,
-            candidates,
             matches,
             estimate,
         )

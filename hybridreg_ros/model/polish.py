@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     F32 = NDArray[np.float32]
     F64 = NDArray[np.float64]
     I32 = NDArray[np.int32]
+    Triple = tuple[float, float, float]
 
 _DAMPING = 1e-3
 _MIN_HITS = 10.0
@@ -27,10 +28,47 @@ _SMALL = 1e-3
 
 
 @compiled
+def _contacts(
+    T: F64, sample: F32, points: F32, grid: I32, low: F64, cell: float, r2: float
+) -> tuple[I32, F32]:
+    index = np.full(sample.shape[0], -1, np.int32)
+    squared = np.full(sample.shape[0], r2, np.float32)
+    for i in range(sample.shape[0]):
+        u, v, w = sample[i, 0], sample[i, 1], sample[i, 2]
+        x = T[0, 0] * u + T[0, 1] * v + T[0, 2] * w + T[0, 3]
+        y = T[1, 0] * u + T[1, 1] * v + T[1, 2] * w + T[1, 3]
+        z = T[2, 0] * u + T[2, 1] * v + T[2, 2] * w + T[2, 3]
+        j = _cell_point(x, y, z, grid, low, cell)
+        if j >= 0:
+            d2 = (points[j, 0] - x) ** 2 + (points[j, 1] - y) ** 2 + (points[j, 2] - z) ** 2
+            if d2 < r2:
+                index[i], squared[i] = j, d2
+    return index, squared
+
+
+def contacts(T: F64, sample: F32, fixed: View, radius: float) -> tuple[I32, F32]:
+    """The point of a fixed cloud that each moved point meets.
+
+    Args:
+        T: (4, 4) voxels.
+        sample: (N, 3) float32, voxels.
+        fixed: the other cloud.
+        radius: farther points meet nothing, voxels.
+
+    Returns:
+        (N,) int32 point of the fixed cloud, -1 for none, and (N,) float32 squared distance,
+        radius^2 for none.
+    """
+    space = fixed.grid.nearest, fixed.grid.low, fixed.grid.cell
+    found: tuple[I32, F32] = _contacts(T, sample, fixed.points, *space, radius**2)
+    return found
+
+
+@compiled
 def _normal_equations(
     T: F64, sample: F32, points: F32, normals: F32, grid: I32, low: F64, cell: float, r2: float
 ) -> tuple[F64, F64, float]:
-    """6x6 matrix and right side of one step (rotation about the sample's mean first)."""
+    """6x6 matrix and right side of one step (rotation about the origin first)."""
     A = np.zeros((6, 6))
     b = np.zeros(6)
     row = np.empty(6)
@@ -40,29 +78,78 @@ def _normal_equations(
         x = T[0, 0] * u + T[0, 1] * v + T[0, 2] * w + T[0, 3]
         y = T[1, 0] * u + T[1, 1] * v + T[1, 2] * w + T[1, 3]
         z = T[2, 0] * u + T[2, 1] * v + T[2, 2] * w + T[2, 3]
-        p = int(np.floor((x - low[0]) / cell))
-        q = int(np.floor((y - low[1]) / cell))
-        s = int(np.floor((z - low[2]) / cell))
-        if not (0 <= p < grid.shape[0] and 0 <= q < grid.shape[1] and 0 <= s < grid.shape[2]):
-            continue
-        j = grid[p, q, s] - 1
+        j = _cell_point(x, y, z, grid, low, cell)
+        if j >= 0:
+            gap = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
+            normal = normals[j, 0], normals[j, 1], normals[j, 2]
+            hits += _add(A, b, row, (x, y, z), gap, normal, r2)
+    return A, b, hits
+
+
+@compiled
+def _reverse_equations(
+    T: F64, sample: F32, points: F32, normals: F32, grid: I32, low: F64, cell: float, r2: float
+) -> tuple[F64, F64, float]:
+    """The same for points of the target (`sample`) and the moving surface (`points`)."""
+    A = np.zeros((6, 6))
+    b = np.zeros(6)
+    row = np.empty(6)
+    hits = 0.0
+    for i in range(sample.shape[0]):
+        u, v, w = sample[i, 0] - T[0, 3], sample[i, 1] - T[1, 3], sample[i, 2] - T[2, 3]
+        j = _cell_point(
+            T[0, 0] * u + T[1, 0] * v + T[2, 0] * w,
+            T[0, 1] * u + T[1, 1] * v + T[2, 1] * w,
+            T[0, 2] * u + T[1, 2] * v + T[2, 2] * w,
+            grid, low, cell,
+        )  # fmt: skip
         if j < 0:
             continue
-        dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
-        d2 = dx * dx + dy * dy + dz * dz
-        if d2 >= r2:
-            continue
-        weight = (1.0 - d2 / r2) ** 2
-        nx, ny, nz = normals[j, 0], normals[j, 1], normals[j, 2]
-        row[0], row[1], row[2] = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
-        row[3], row[4], row[5] = nx, ny, nz
-        gap = dx * nx + dy * ny + dz * nz
-        hits += weight
-        for k in range(6):
-            b[k] += weight * gap * row[k]
-            for m in range(6):
-                A[k, m] += weight * row[k] * row[m]
+        u, v, w = points[j, 0], points[j, 1], points[j, 2]
+        x = T[0, 0] * u + T[0, 1] * v + T[0, 2] * w + T[0, 3]
+        y = T[1, 0] * u + T[1, 1] * v + T[1, 2] * w + T[1, 3]
+        z = T[2, 0] * u + T[2, 1] * v + T[2, 2] * w + T[2, 3]
+        u, v, w = normals[j, 0], normals[j, 1], normals[j, 2]
+        normal = (
+            T[0, 0] * u + T[0, 1] * v + T[0, 2] * w,
+            T[1, 0] * u + T[1, 1] * v + T[1, 2] * w,
+            T[2, 0] * u + T[2, 1] * v + T[2, 2] * w,
+        )
+        gap = sample[i, 0] - x, sample[i, 1] - y, sample[i, 2] - z
+        hits += _add(A, b, row, (x, y, z), gap, normal, r2)
     return A, b, hits
+
+
+@compiled
+def _cell_point(x: float, y: float, z: float, grid: I32, low: F64, cell: float) -> int:
+    """The point that the grid knows for a place, -1 for none."""
+    p = int(np.floor((x - low[0]) / cell))
+    q = int(np.floor((y - low[1]) / cell))
+    s = int(np.floor((z - low[2]) / cell))
+    if not (0 <= p < grid.shape[0] and 0 <= q < grid.shape[1] and 0 <= s < grid.shape[2]):
+        return -1
+    found: int = grid[p, q, s] - 1
+    return found
+
+
+@compiled
+def _add(A: F64, b: F64, row: F64, moved: Triple, gap: Triple, normal: Triple, r2: float) -> float:
+    """Add one point-to-plane equation, weighted down towards the radius; returns the weight."""
+    x, y, z = moved
+    dx, dy, dz = gap
+    nx, ny, nz = normal
+    d2 = dx * dx + dy * dy + dz * dz
+    if d2 >= r2:
+        return 0.0
+    weight = (1.0 - d2 / r2) ** 2
+    row[0], row[1], row[2] = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
+    row[3], row[4], row[5] = nx, ny, nz
+    along = dx * nx + dy * ny + dz * nz
+    for k in range(6):
+        b[k] += weight * along * row[k]
+        for m in range(6):
+            A[k, m] += weight * row[k] * row[m]
+    return weight
 
 
 @compiled
@@ -84,6 +171,16 @@ def _step(T: F64, xi: F64) -> F64:
 
 
 @compiled
+def _solved(T: F64, A: F64, b: F64, hits: float) -> tuple[F64, bool]:
+    """The pose after a damped Gauss-Newton step, and whether it hardly moved."""
+    for k in range(6):
+        A[k, k] += _DAMPING * A[k, k] + 1e-6 * hits
+    xi = np.linalg.solve(A, b)
+    done = np.abs(xi[:3]).max() < _SMALL * 0.2 and np.abs(xi[3:]).max() < 10.0 * _SMALL
+    return _step(T, xi), done
+
+
+@compiled
 def _align(
     T: F64,
     sample: F32,
@@ -101,12 +198,39 @@ def _align(
         )
         if hits < _MIN_HITS:
             break
-        for k in range(6):
-            A[k, k] += _DAMPING * A[k, k] + 1e-6 * hits
-        xi = np.linalg.solve(A, b)
-        T = _step(T, xi)
-        if np.abs(xi[:3]).max() < _SMALL * 0.2 and np.abs(xi[3:]).max() < 10.0 * _SMALL:
+        T, done = _solved(T, A, b, hits)
+        if done:
             break
+    return T
+
+
+def aligned_both_ways(
+    T: F64, source: View, target: View, stages: Sequence[tuple[str, float, int]]
+) -> F64:
+    """A pose (4, 4) after rounds in which each cloud's sample is drawn to the other's surface.
+
+    Swapping the clouds gives the inverse.
+
+    Args:
+        T: pose, voxels.
+        source: its surface is moved.
+        target: its surface is fixed.
+        stages: name of the views' grid, radius beyond which points are ignored, most rounds.
+    """
+    for name, radius, rounds in stages:
+        there, back = (vars(getattr(view, name)).values() for view in (target, source))
+        for _ in range(rounds):
+            A, b, hits = _normal_equations(
+                T, source.sample, target.points, target.normals, *there, radius * radius
+            )
+            C, d, more = _reverse_equations(
+                T, target.sample, source.points, source.normals, *back, radius * radius
+            )
+            if hits + more < _MIN_HITS:
+                break
+            T, done = _solved(T, A + C, b + d, hits + more)
+            if done:
+                break
     return T
 
 

@@ -16,6 +16,7 @@ import torch
 from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.model import ops
 from hybridreg_ros.model.kernel import KernelOperator, kernel_operator, kernel_points
+from hybridreg_ros.model.normals import surface_normals
 from hybridreg_ros.model.ops import CellList
 
 if TYPE_CHECKING:
@@ -67,6 +68,7 @@ class Pyramid:
         voxel_size_m: metres per finest voxel.
         origin_m: (3,) float64 position of the zero of `Level.points` in the sensor frame, metres.
         fine_level: number of the level of the fine points.
+        normals: (N, 3) float32 unit normals of the finest level, zero where there is no surface.
     """
 
     levels: tuple[Level, ...]
@@ -77,6 +79,7 @@ class Pyramid:
     voxel_size_m: float
     origin_m: NDArray[np.float64]
     fine_level: int
+    normals: NDArray[np.float32]
 
     @property
     def fine_points(self) -> Tensor:
@@ -148,7 +151,7 @@ def build_pyramid(
     grids, owner, origin = _grids(points[finite], voxel_size_m, config)
     input_to_level0 = np.full(len(points), -1, np.int32)
     input_to_level0[finite] = owner
-    levels = _levels(grids, config)
+    levels, normals = _levels(grids, config)
     fine, super_ = grids[config.fine_level].points, grids[-1].points
     patch = CellList.build(fine, config.patch_radius / 2.0).search(
         super_, config.patch_radius, config.patch_size
@@ -162,6 +165,7 @@ def build_pyramid(
         float(voxel_size_m),
         origin,
         config.fine_level,
+        normals,
     )
 
 
@@ -239,15 +243,19 @@ def _thin(grid: _Grid, limit: int) -> _Grid:
     return _Grid(grid.points[kept], grid.keys[kept], nearest[grid.owner])
 
 
-def _levels(grids: list[_Grid], config: ModelConfig) -> tuple[Level, ...]:
-    """Neighbourhoods and influence weights of all levels."""
-    levels = []
+def _levels(
+    grids: list[_Grid], config: ModelConfig
+) -> tuple[tuple[Level, ...], NDArray[np.float32]]:
+    """Neighbourhoods and influence weights of all levels; normals of the finest."""
+    levels, normals = [], np.zeros((0, 3), np.float32)
     unit = kernel_points(config.kernel_points, config.kernel_radius)
     for i, grid in enumerate(grids):
         size = float(2**i)
         kernel, extent, radius = unit * size, config.kernel_extent * size, config.radius * size
         cells = CellList.build(grid.points, radius)
         near = cells.search(grid.points, radius, config.neighbours)
+        if i == 0:
+            normals = surface_normals(grid.points, near)
         conv = kernel_operator(grid.points, grid.points, near, kernel, extent)
         points = torch.from_numpy(grid.points)
         if i == len(grids) - 1:
@@ -258,7 +266,7 @@ def _levels(grids: list[_Grid], config: ModelConfig) -> tuple[Level, ...]:
         pool = kernel_operator(coarse.points, grid.points, below, kernel, extent)
         up = torch.from_numpy(coarse.owner.astype(np.int64))
         levels.append(Level(points, conv, pool, torch.from_numpy(below), up))
-    return tuple(levels)
+    return tuple(levels), normals
 
 
 def pairwise_bins(superpoints: NDArray[np.float32], config: ModelConfig) -> NDArray[np.int16]:

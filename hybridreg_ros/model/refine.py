@@ -1,59 +1,31 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Refinement of a match: GICP of the trusted points, kept only where it does no harm."""
+"""Refinement of a match: robust point-to-plane alignment, kept only where it does no harm."""
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import small_gicp
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.model.ops import CellList
+from hybridreg_ros.model.polish import aligned_both_ways, contacts
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from hybridreg_ros.model.views import View
+
     F64 = NDArray[np.float64]
 
-_NORMAL_NEIGHBOURS = 12
-_SOURCE_POINTS = 2500
-_MIN_POINTS = 20
-_STAGES_VOXELS = (3.0, 1.5)
-_ITERATIONS = 15
+_POINTS = 2500
+_STAGES = (('wide', 3.0, 6), ('grid', 1.5, 8), ('grid', 0.8, 8))
+"""Grid of the views, radius beyond which points are ignored, voxels, and rounds."""
 _OVERLAP_RADIUS = 1.0
 _MAX_SHIFT_VOXELS = 8.0
 _MAX_TURN_DEG = 15.0
-
-
-@dataclass(frozen=True, eq=False)
-class Surface:
-    """Finest points of a cloud prepared for GICP, voxels; built once per cloud.
-
-    Attributes:
-        points: (N, 3) float32.
-        normals: (N, 3) float32 unit.
-        cloud: small_gicp cloud with covariances.
-        tree: its kd-tree.
-        cells: for overlap queries.
-    """
-
-    points: NDArray[np.float32]
-    normals: NDArray[np.float32]
-    cloud: Any
-    tree: Any
-    cells: CellList
-
-    @classmethod
-    def build(cls, points: NDArray[np.float32]) -> Surface:
-        """Estimate covariances and sort points (N, 3), voxels."""
-        cloud = small_gicp.PointCloud(points.astype(np.float64))
-        tree = small_gicp.KdTree(cloud)
-        small_gicp.estimate_normals_covariances(cloud, tree, _NORMAL_NEIGHBOURS)
-        normals = np.ascontiguousarray(np.asarray(cloud.normals())[:, :3], dtype=np.float32)
-        return cls(points, normals, cloud, tree, CellList.build(points, _OVERLAP_RADIUS))
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,12 +34,12 @@ class Refinement:
 
     Attributes:
         V_target_source: (4, 4) float64, voxels.
-        overlap: share of the trusted source points with a target point within one voxel.
+        overlap: share of the source points with a target point within one voxel.
         residual: root mean square of those distances, voxels; 1 when there is none.
         constraint: smallest over largest eigenvalue of the translational information.
-        correction: distance that the mean of the trusted points was moved, voxels.
+        correction: distance that the mean of the points was moved, voxels.
         accepted: False when the pose from before was kept.
-        support: number of trusted source points with a target point within one voxel.
+        support: number of source points tried with a target point within one voxel.
     """
 
     V_target_source: F64
@@ -79,80 +51,68 @@ class Refinement:
     support: int
 
 
-def refine(
-    source: Surface,
-    target: Surface,
-    V_target_source: F64,
-    trusted: NDArray[np.bool_],
-    threads: int = 1,
-) -> Refinement:
-    """Align the trusted source points with the target, starting from a match.
+def refine(source: View, target: View, V_target_source: F64) -> Refinement:
+    """Align the source with the target, starting from a match.
+
+    Both clouds are drawn to each other. Every point takes part, and those without a surface within
+    a shrinking radius drop out: that mask is sharper than the network's, which has superpoints.
 
     Args:
         source: moving cloud, voxels.
         target: fixed cloud, voxels.
         V_target_source: (4, 4) start, voxels.
-        trusted: (N,) source points that neither move nor lack a counterpart.
-        threads: threads of small_gicp.
     """
-    rows = np.flatnonzero(trusted)
-    if len(rows) < _MIN_POINTS:
-        rows = np.arange(len(source.points))
-    if len(rows) > _SOURCE_POINTS:
-        rows = rows[np.linspace(0, len(rows) - 1, _SOURCE_POINTS).astype(np.int64)]
-    moving = source.points[rows].astype(np.float64)
-    before = _overlap(moving, target, V_target_source)
-    V, constraint = _gicp(moving, target, V_target_source, threads)
-    after = _overlap(moving, target, V)
-    centre = moving.mean(axis=0)
-    step = V @ se3.inverse(V_target_source)
+    moving, fixed = _with_points(source, _POINTS), _with_points(target, _POINTS)
+    V = se3.orthonormalise(aligned_both_ways(V_target_source, moving, fixed, _STAGES))
+    before, after = _contact(moving, target, V_target_source), _contact(moving, target, V)
+    centre = moving.sample.mean(axis=0, dtype=np.float64)
     difference = V - V_target_source
     shift = float(np.linalg.norm(difference[:3, :3] @ centre + difference[:3, 3]))
-    fits = (
+    step = V @ se3.inverse(V_target_source)
+    accepted = (
         se3.is_rigid(V)
         and shift <= _MAX_SHIFT_VOXELS
         and se3.rotation_angle_deg(step[:3, :3]) <= _MAX_TURN_DEG
-        and after[0] >= 0.95 * before[0]
+        and after.count >= 0.95 * before.count
     )
-    if not fits:
-        return Refinement(
-            V_target_source, *before, constraint, 0.0, False, round(before[0] * len(rows))
-        )
-    return Refinement(V, *after, constraint, shift, True, round(after[0] * len(rows)))
+    kept = after if accepted else before
+    return Refinement(
+        V if accepted else V_target_source,
+        kept.count / len(moving.sample),
+        kept.residual,
+        kept.constraint,
+        shift if accepted else 0.0,
+        bool(accepted),
+        kept.count,
+    )
 
 
-def _gicp(moving: F64, target: Surface, V: F64, threads: int) -> tuple[F64, float]:
-    """GICP from coarse to fine; the pose and how well the surfaces constrain it."""
-    cloud = small_gicp.PointCloud(moving)
-    small_gicp.estimate_covariances(cloud, num_neighbors=_NORMAL_NEIGHBOURS, num_threads=threads)
-    constraint = 0.0
-    for gate in _STAGES_VOXELS:
-        result = small_gicp.align(
-            target.cloud,
-            cloud,
-            target.tree,
-            V,
-            registration_type='GICP',
-            max_correspondence_distance=gate,
-            num_threads=threads,
-            max_iterations=_ITERATIONS,
-            rotation_epsilon=2e-4,
-            translation_epsilon=2e-3,
-        )
-        if result.num_inliers < _MIN_POINTS:
-            break
-        V = se3.orthonormalise(np.asarray(result.T_target_source))
-        eigenvalues = np.linalg.eigvalsh(np.asarray(result.H)[3:, 3:])
-        constraint = float(max(eigenvalues[0], 0.0) / max(eigenvalues[-1], 1e-12))
-    return V, constraint
+def _with_points(view: View, most: int) -> View:
+    """A view whose sample has up to `most` points, evenly spread."""
+    rows = np.unique(np.linspace(0, len(view.points) - 1, most).astype(np.int64))
+    return dataclasses.replace(view, sample=np.ascontiguousarray(view.points[rows]))
 
 
-def _overlap(moving: F64, target: Surface, V: F64) -> tuple[float, float]:
-    """Share of points with a target point within one voxel, and their rms distance."""
-    moved = se3.apply(V, moving).astype(np.float32)
-    near = target.cells.search(moved, _OVERLAP_RADIUS, 1)[:, 0]
-    hit = near < len(target.points)
-    if not hit.any():
-        return 0.0, 1.0
-    gap = moved[hit] - target.points[near[hit]]
-    return float(hit.mean()), float(np.sqrt((gap * gap).sum(axis=1).mean()))
+@dataclass(frozen=True)
+class _Contact:
+    """How points touch a surface: number within a voxel, rms distance, how well held in place."""
+
+    count: int
+    residual: float
+    constraint: float
+
+
+def _contact(moving: View, target: View, V: F64) -> _Contact:
+    """Contact of the moving view's sample with the target."""
+    index, squared = contacts(V, moving.sample, target, _OVERLAP_RADIUS)
+    hit = index >= 0
+    count = int(hit.sum())
+    if count == 0:
+        return _Contact(0, 1.0, 0.0)
+    normals = target.normals[index[hit]].astype(np.float64)
+    values = np.linalg.eigvalsh(normals.T @ normals)
+    return _Contact(
+        count,
+        float(np.sqrt(squared[hit].mean(dtype=np.float64))),
+        float(max(values[0], 0.0) / max(values[-1], 1e-12)),
+    )

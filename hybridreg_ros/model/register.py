@@ -7,22 +7,22 @@ from __future__ import annotations
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
+from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.model.checkpoint import load_checkpoint, packaged_weights
 from hybridreg_ros.model.confidence import Calibration, ConfidenceFeatures, features_of
 from hybridreg_ros.model.estimators import judged
 from hybridreg_ros.model.network import Encoding, HybridRegNet
+from hybridreg_ros.model.posterior import posterior_sigma2
 from hybridreg_ros.model.pyramid import build_pyramid, metric_transform
-from hybridreg_ros.model.refine import Surface, refine
+from hybridreg_ros.model.refine import refine
 from hybridreg_ros.model.spread import spread_to_level0, values_of_inputs
-from hybridreg_ros.model.verify import verify_match
-from hybridreg_ros.model.views import View
+from hybridreg_ros.model.verify import descriptor_matches, propose, verify, view_of
 from hybridreg_ros.model.voxel_size import choose_voxel_size_m
 
 if TYPE_CHECKING:
@@ -32,8 +32,12 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from hybridreg_ros.model.config import ModelConfig
+    from hybridreg_ros.model.hypotheses import Candidates
+    from hybridreg_ros.model.network import MatchOutput
+    from hybridreg_ros.model.refine import Refinement
+    from hybridreg_ros.model.views import View
 
-_TRUSTED_SIGMA2 = 0.7
+    F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,13 +46,13 @@ class EncodedCloud:
 
     Attributes:
         encoding: what the network keeps of it.
-        surface: what the refinement keeps of it.
+        view: what verification and refinement keep of it.
         size: number of input points, NaN rows included.
         encode_s: seconds it took.
     """
 
     encoding: Encoding
-    surface: Surface
+    view: View
     size: int
     encode_s: float
 
@@ -56,13 +60,6 @@ class EncodedCloud:
     def voxel_size_m(self) -> float:
         """Metres per finest voxel."""
         return self.encoding.pyramid.voxel_size_m
-
-    @cached_property
-    def view(self) -> View:
-        """What the verification looks at; made when first needed."""
-        pyramid = self.encoding.pyramid
-        sensor = -pyramid.origin_m / pyramid.voxel_size_m
-        return View.build(self.surface.points, self.surface.normals, sensor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +89,8 @@ class RegistrationResult:
         T_target_source: (4, 4) float64, metres, refined.
         confidence: P(T_target_source right), [0, 1].
         source_uncertainty: (N,) float32 sigma2 in [0, 1] of every input point; 1 = do not trust
-            (moving, deforming, not seen by the other cloud, or NaN in the input).
+            (moving, deforming, not seen by the other cloud, or NaN in the input): the network's
+            mask, corrected by where the point lies once the pose is known.
         target_uncertainty: (M,) float32.
         correspondences: point matches of the network.
         T_lgr: (4, 4) float64, metres, pose of the point matches alone, before verification and
@@ -182,8 +180,7 @@ class HybridReg:
         pyramid = build_pyramid(cloud, float(voxel_size_m), self.config)
         with torch.no_grad():
             encoding = self.net.encode(pyramid)
-        surface = Surface.build(pyramid.levels[0].points.numpy())
-        return EncodedCloud(encoding, surface, len(cloud), time.perf_counter() - start)
+        return EncodedCloud(encoding, view_of(pyramid), len(cloud), time.perf_counter() - start)
 
     def register(
         self, source: ArrayLike, target: ArrayLike, voxel_size_m: float | None = None
@@ -219,41 +216,23 @@ class HybridReg:
             RegistrationError: they were encoded with different voxel sizes.
         """
         start = time.perf_counter()
-        with torch.no_grad():
-            found = self.net.match(source.encoding, target.encoding)
-        middle = time.perf_counter()
-        a, b = source.encoding.pyramid, target.encoding.pyramid
-        level0 = spread_to_level0(a, found.source_sigma2), spread_to_level0(b, found.target_sigma2)
-        estimate, verified = found.estimate, None
-        if self.config.estimator == 'verified':
-            verified = verify_match(
-                found,
-                (a, b),
-                (source.view, target.view),
-            )
-            estimate = judged(
-                verified.V_target_source, found.matches, self.config.acceptance_radius
-            )
+        views = source.view, target.view
+        with ThreadPoolExecutor(1) as beside:
+            proposed = beside.submit(_proposals, source, target) if self._verifies else None
+            with torch.no_grad():
+                found = self.net.match(source.encoding, target.encoding)
+            middle = time.perf_counter()
+            estimate, verified = found.estimate, None
+            if proposed is not None:
+                matches, poses = proposed.result()
+                verified = verify(poses, estimate.V_target_source, matches, views)
+                estimate = judged(
+                    verified.V_target_source, found.matches, self.config.acceptance_radius
+                )
         chosen = time.perf_counter()
-        refined = refine(
-            source.surface,
-            target.surface,
-            estimate.V_target_source,
-            level0[0] < max(_TRUSTED_SIGMA2, float(np.median(level0[0]))),
-        )
+        refined = refine(*views, estimate.V_target_source)
         features = features_of(found, estimate, refined, verified)
-        confidence = self.calibration.probability(features)
-        result = RegistrationResult(
-            metric_transform(refined.V_target_source, a, b),
-            confidence,
-            values_of_inputs(a, level0[0]),
-            values_of_inputs(b, level0[1]),
-            Correspondences(found.source_points, found.target_points, found.weights),
-            found.T_target_source,
-            int(estimate.inliers.sum()),
-            a.voxel_size_m,
-            features,
-        )
+        result = self._result(source, target, found, refined, features)
         end = time.perf_counter()
         timings = {
             'network': middle - start,
@@ -262,6 +241,44 @@ class HybridReg:
             'total': end - start,
         }
         return _with_timings(result, timings)
+
+    @property
+    def _verifies(self) -> bool:
+        return self.config.estimator == 'verified'
+
+    def _result(
+        self,
+        source: EncodedCloud,
+        target: EncodedCloud,
+        found: MatchOutput,
+        refined: Refinement,
+        features: ConfidenceFeatures,
+    ) -> RegistrationResult:
+        """Everything that users get, without timings."""
+        a, b = source.encoding.pyramid, target.encoding.pyramid
+        V, confidence = refined.V_target_source, self.calibration.probability(features)
+        prior = spread_to_level0(a, found.source_sigma2), spread_to_level0(b, found.target_sigma2)
+        sigma2 = (
+            posterior_sigma2(prior[0], source.view, target.view, V, confidence),
+            posterior_sigma2(prior[1], target.view, source.view, se3.inverse(V), confidence),
+        )
+        return RegistrationResult(
+            metric_transform(V, a, b),
+            confidence,
+            values_of_inputs(a, sigma2[0]),
+            values_of_inputs(b, sigma2[1]),
+            Correspondences(found.source_points, found.target_points, found.weights),
+            found.T_target_source,
+            int(np.expm1(features.log_inliers) + 0.5),
+            a.voxel_size_m,
+            features,
+        )
+
+
+def _proposals(source: EncodedCloud, target: EncodedCloud) -> tuple[Candidates, F64]:
+    """Descriptor matches of two clouds and the poses they suggest."""
+    matches = descriptor_matches(source.encoding, target.encoding)
+    return matches, propose(matches, (source.view, target.view))
 
 
 def _with_timings(result: RegistrationResult, timings: Mapping[str, float]) -> RegistrationResult:

@@ -27,10 +27,6 @@ class SuperpointPairs:
     index: Tensor
     scores: Tensor
 
-    def first(self, count: int) -> SuperpointPairs:
-        """The best `count` of them."""
-        return SuperpointPairs(self.index[:count], self.scores[:count])
-
 
 def gaussian_correlation(x: Tensor, y: Tensor, dual: bool = True) -> Tensor:
     """exp(-||x_i - y_j||^2) of unit features, times its shares of row and column if `dual`.

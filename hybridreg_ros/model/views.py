@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 _CELL_VOXELS = 1.0
 _WIDE_CELL_VOXELS = 2.5
 _HALF_EXTENT_VOXELS = 250.0
+_MOST_CELLS = 24_000_000
 _FACE_BINS = 45
 SAMPLE = 640
 """Points of a cloud that are tested against the other."""
@@ -116,11 +117,19 @@ class Grid:
 
     @classmethod
     def build(cls, points: F32, cell: float) -> Grid:
-        """Sort points (N, 3) in; what is far from their median is left out."""
-        centre = np.median(points, axis=0).astype(np.float64)
-        low = np.maximum(points.min(axis=0) - 2.0 * cell, centre - _HALF_EXTENT_VOXELS)
-        high = np.minimum(points.max(axis=0) + 3.0 * cell, centre + _HALF_EXTENT_VOXELS)
-        shape = np.ceil((high - low) / cell).astype(np.int64)
+        """Sort points (N, 3) in; what is far from their median is left out.
+
+        The reach around the median is 250 voxels, and less where that would be over 24 million
+        cells: a cloud that fills all of space must not fill the memory.
+        """
+        centre, half = np.median(points, axis=0).astype(np.float64), _HALF_EXTENT_VOXELS
+        while True:
+            low = np.maximum(points.min(axis=0) - 2.0 * cell, centre - half)
+            high = np.minimum(points.max(axis=0) + 3.0 * cell, centre + half)
+            shape = np.ceil((high - low) / cell).astype(np.int64)
+            if shape.prod() <= _MOST_CELLS:
+                break
+            half *= 0.9
         return cls(_nearest_grid(points, low, shape, cell), low, cell)
 
 
@@ -132,6 +141,7 @@ class View:
         points: (N, 3) float32, voxels.
         normals: (N, 3) float32 unit.
         sample: (K, 3) float32, the points that are tested against the other cloud.
+        sample_normals: (K, 3) float32 unit.
         grid: of cells of one voxel.
         wide: of larger cells.
         sensor: (3,) float64 position of the sensor, voxels.
@@ -142,6 +152,7 @@ class View:
     points: F32
     normals: F32
     sample: F32
+    sample_normals: F32
     grid: Grid
     wide: Grid
     sensor: F64
@@ -161,16 +172,32 @@ class View:
         rows = np.unique(np.linspace(0, len(points) - 1, sample).astype(np.int64))
         grids = Grid.build(points, _CELL_VOXELS), Grid.build(points, _WIDE_CELL_VOXELS)
         image, near = _range_image(points, sensor, _FACE_BINS)
-        return cls(points, normals, points[rows], *grids, sensor, image, near)
+        return cls(points, normals, points[rows], normals[rows], *grids, sensor, image, near)
 
     def thinned(self, every: int) -> View:
         """The same view with one in `every` of its sampled points."""
-        return dataclasses.replace(self, sample=np.ascontiguousarray(self.sample[::every]))
+        return dataclasses.replace(
+            self,
+            sample=np.ascontiguousarray(self.sample[::every]),
+            sample_normals=np.ascontiguousarray(self.sample_normals[::every]),
+        )
 
 
 @compiled
-def _fit(sample: F32, T: F64, points: F32, grid: I32, low: F64, cell: float, r2: float) -> float:
-    """Mean over the sample of 1 - (distance / radius)^2 to the surface, 0 beyond the radius."""
+def _fit(
+    T: F64,
+    sample: F32,
+    sample_normals: F32,
+    points: F32,
+    normals: F32,
+    space: tuple[I32, F64, float],
+    r2: float,
+) -> float:
+    """Mean over the sample of how well each point lies on the surface, [0, 1].
+
+    (1 - (distance / radius)^2) cos^2 of the angle between the normals, 0 beyond the radius.
+    """
+    grid, low, cell = space
     total = 0.0
     for i in range(sample.shape[0]):
         x, y, z = _moved(T, sample[i, 0], sample[i, 1], sample[i, 2])
@@ -180,9 +207,17 @@ def _fit(sample: F32, T: F64, points: F32, grid: I32, low: F64, cell: float, r2:
         if not (0 <= a < grid.shape[0] and 0 <= b < grid.shape[1] and 0 <= c < grid.shape[2]):
             continue
         j = grid[a, b, c] - 1
-        if j >= 0:
-            d2 = (points[j, 0] - x) ** 2 + (points[j, 1] - y) ** 2 + (points[j, 2] - z) ** 2
-            total += max(0.0, 1.0 - d2 / r2)
+        if j < 0:
+            continue
+        d2 = (points[j, 0] - x) ** 2 + (points[j, 1] - y) ** 2 + (points[j, 2] - z) ** 2
+        if d2 < r2:
+            cosine = 0.0
+            for k in range(3):
+                turned = 0.0
+                for m in range(3):
+                    turned += T[k, m] * sample_normals[i, m]
+                cosine += turned * normals[j, k]
+            total += (1.0 - d2 / r2) * cosine * cosine
     mean: float = total / max(sample.shape[0], 1)
     return mean
 
@@ -230,14 +265,27 @@ def _inverse(T: F64) -> F64:
 def fits(T: F64, source: View, target: View, radius: float) -> F64:
     """How much of both clouds lies on the other under each of B transforms, (B,) in [0, 1]."""
     out = np.empty(len(T))
-    r2 = radius * radius
     for b, forward in enumerate(T):
-        back = _inverse(forward)
         out[b] = 0.5 * (
-            _fit(source.sample, forward, target.points, *vars(target.grid).values(), r2)
-            + _fit(target.sample, back, source.points, *vars(source.grid).values(), r2)
+            _one_way(forward, source, target, radius)
+            + _one_way(_inverse(forward), target, source, radius)
         )
     return out
+
+
+def _one_way(T: F64, moving: View, fixed: View, radius: float) -> float:
+    """Fit of the moving view's sample on the fixed view's surface."""
+    space = fixed.grid.nearest, fixed.grid.low, fixed.grid.cell
+    fit: float = _fit(
+        T,
+        moving.sample,
+        moving.sample_normals,
+        fixed.points,
+        fixed.normals,
+        space,
+        radius * radius,
+    )
+    return fit
 
 
 def intrusions(T: F64, source: View, target: View, margin: float, share: float) -> F64:

@@ -10,15 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.core import se3
+from hybridreg_ros.odometry import calibration
 from hybridreg_ros.odometry.result import Reason
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.odometry.config import GateConfig
-
-_BIAS, _PER_CONSISTENCY, _PER_OVERLAP = -6.3, 9.0, 2.0
-"""Logistic model of P(pose right): set by hand on disturbed true poses, not yet fitted."""
 
 
 @dataclass(frozen=True)
@@ -29,11 +27,13 @@ class Evidence:
         overlap: share of the points with a surface of the map nearby, [0, 1].
         seen: share of the points in directions that an earlier scan saw, [0, 1].
         consistent: share of those that stand on what the earlier scan saw there, [0, 1].
+        spread: robust standard deviation of the points about the map's surfaces, in voxels.
     """
 
     overlap: float
     seen: float
     consistent: float
+    spread: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -52,11 +52,12 @@ class Verdict:
 def of_evidence(evidence: Evidence) -> float:
     """Confidence of a pose that no network vouches for, [0, 1].
 
-    It grows with the share of points that stand where an earlier scan saw a surface (at a wrong
-    pose they hang in seen free space or hide behind surfaces) and with the share that finds the
-    map. The weights are not calibrated yet: read it as an order, not as a probability.
+    It grows with the share of points that finds the map and falls with their spread about its
+    surfaces; the weights come from `calibration.json`. The share that stands where an earlier scan
+    saw a surface is left out: it is low at right poses where much moves.
     """
-    score = _BIAS + _PER_CONSISTENCY * evidence.consistent + _PER_OVERLAP * evidence.overlap
+    model = calibration.packaged()
+    score = model.bias + sum(w * getattr(evidence, name) for name, w in model.weights.items())
     return float(1.0 / (1.0 + np.exp(-score)))
 
 
@@ -82,9 +83,11 @@ def judge(
         return Verdict(0.0, Reason.NO_OVERLAP)
     if not evidence.consistent >= gate.min_consistent:
         return Verdict(0.0, Reason.REFINEMENT_FAILED)
-    if predicted is not None and not agrees(pose, predicted, dt_s, voxel_size_m, gate):
+    confidence = of_evidence(evidence)
+    surprising = predicted is not None and not agrees(pose, predicted, dt_s, voxel_size_m, gate)
+    if surprising and confidence < gate.against_motion:
         return Verdict(0.0, Reason.DISAGREES_WITH_MOTION)
-    return Verdict(of_evidence(evidence), None)
+    return Verdict(confidence, None)
 
 
 def agrees(

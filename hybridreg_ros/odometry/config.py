@@ -6,23 +6,33 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hybridreg_ros.core.config import dump_yaml, option, validate
+from hybridreg_ros.core.config import dump_yaml, option
+from hybridreg_ros.odometry.config_state import (
+    CovarianceConfig,
+    DynamicsConfig,
+    KeyframeConfig,
+    LostConfig,
+    Section,
+)
 
-
-class _Section:
-    """A config section that checks itself."""
-
-    def __post_init__(self) -> None:
-        """Check types and ranges.
-
-        Raises:
-            ConfigError: a value has the wrong type or lies outside its range.
-        """
-        validate(self)
+__all__ = [
+    'CovarianceConfig',
+    'DynamicsConfig',
+    'FallbackConfig',
+    'GateConfig',
+    'InputConfig',
+    'KeyframeConfig',
+    'LostConfig',
+    'MapConfig',
+    'OdometryConfig',
+    'PreprocessConfig',
+    'RefineConfig',
+    'parameter_file',
+]
 
 
 @dataclass(frozen=True)
-class InputConfig(_Section):
+class InputConfig(Section):
     """Which scans are taken."""
 
     min_points: int = option(
@@ -39,7 +49,7 @@ class InputConfig(_Section):
 
 
 @dataclass(frozen=True)
-class PreprocessConfig(_Section):
+class PreprocessConfig(Section):
     """From the sensor's cloud to the points that are registered."""
 
     min_range_m: float = option(
@@ -57,7 +67,7 @@ class PreprocessConfig(_Section):
     deskew: bool = option(True, 'undo the motion during a scan when points carry times')
     deskew_to: str = option(
         'stamp',
-        'instant of the deskewed cloud and of the pose: the stamp, or the first or last point',
+        'instant of the pose of a deskewed scan: its stamp, or its first or last point',
         choices=('stamp', 'start', 'end'),
     )
     map_thinning: float = option(
@@ -73,7 +83,7 @@ class PreprocessConfig(_Section):
 
 
 @dataclass(frozen=True)
-class MapConfig(_Section):
+class MapConfig(Section):
     """The local map."""
 
     points_per_voxel: int = option(20, 'most points kept in one voxel', low=1, high=100)
@@ -87,7 +97,7 @@ class MapConfig(_Section):
 
 
 @dataclass(frozen=True)
-class RefineConfig(_Section):
+class RefineConfig(Section):
     """ICP against the local map."""
 
     max_iterations: int = option(15, 'most pairings per level', low=1, high=200)
@@ -104,47 +114,67 @@ class RefineConfig(_Section):
     min_scale: float = option(
         0.02, 'floor of the residual scale of the robust kernel, in voxels', low=1e-4, high=1.0
     )
-    inlier_distance: float = option(
-        0.25, 'a residual below this many voxels counts as an inlier', low=0.01, high=2.0
-    )
 
 
 @dataclass(frozen=True)
-class FallbackConfig(_Section):
-    """Registration without a network, started from the constant-velocity guess."""
+class FallbackConfig(Section):
+    """kiss-icp against the middle level of the map, from the constant-velocity guess."""
 
-    engine: str = option(
-        'auto',
-        'auto: point-to-plane ICP with kiss-icp as second opinion; or kiss-icp for every scan',
-        choices=('auto', 'kiss-icp'),
-    )
     max_iterations: int = option(100, 'most iterations of its registration', low=1, high=500)
+    convergence: float = option(
+        0.008, 'a step below this many of its voxels ends the iteration', low=1e-6, high=0.5
+    )
     threads: int = option(1, 'threads of its registration', low=1, high=64)
     min_motion_m: float = option(
-        0.0, 'deviations below this do not widen its threshold, metres; 0 = a tenth of a voxel',
+        0.0, 'deviations below this do not widen its threshold, metres; 0 = a tenth of its voxel',
         low=0.0, high=10.0,
     )  # fmt: skip
     initial_threshold_m: float = option(
-        0.0, 'its first correspondence threshold, metres; 0 = two voxels', low=0.0, high=100.0
+        0.0, 'its first correspondence threshold, metres; 0 = two of its voxels',
+        low=0.0, high=100.0,
+    )  # fmt: skip
+    thinning: float = option(
+        1.5, 'edge of the thinning cubes for its points, in its voxels', low=0.1, high=8.0
     )
-    max_points: int = option(2000, 'points given to its registration', low=100, high=100_000)
-    good: float = option(0.9, 'the same once a second guess has been tried', low=0.0, high=1.0)
+    max_points: int = option(2000, 'most points given to it', low=100, high=100_000)
     sure: float = option(
         0.98, 'confidence of the first guess from which no other is tried', low=0.0, high=1.0
     )
+    good: float = option(0.9, 'the same once a second guess has been tried', low=0.0, high=1.0)
     accept: float = option(
         0.5, 'a pose of lower confidence counts as a bad frame', low=0.0, high=1.0
     )
     turns_deg: tuple[float, ...] = option(
-        (20.0, 40.0), 'turns of further guesses while in doubt, degrees', low=0.1, high=180.0
+        (20.0, 40.0, 60.0), 'turns of the guesses of a wide search, degrees', low=0.1, high=180.0
+    )
+    shifts: tuple[float, ...] = option(
+        (1.0, 2.0, 3.0), 'shifts of the guesses of a wide search, in coarse voxels',
+        low=0.1, high=100.0,
     )  # fmt: skip
-    polish: bool = option(True, 'polish its pose by point-to-plane ICP against the same map')
+    searched: int = option(
+        3, 'guesses of a wide search that are followed up while in doubt', low=0, high=100
+    )
+    polish: bool = option(
+        True, 'refine its pose point to plane against the same map, as poses of the network are'
+    )
 
 
 @dataclass(frozen=True)
-class GateConfig(_Section):
-    """When a network pose is trusted."""
+class GateConfig(Section):
+    """When the network is asked and when its pose is trusted."""
 
+    network: str = option(
+        'in_doubt',
+        'ask the network for every scan, or only in doubt: when the prediction, refined in the '
+        'map, does not explain the scan',
+        choices=('always', 'in_doubt'),
+    )
+    doubt: float = option(
+        0.9,
+        'share of the points standing on what an earlier scan saw, below which a pose gets a '
+        'second opinion',
+        low=0.0, high=1.0,
+    )  # fmt: skip
     enter: float = option(
         0.7, 'confidence from which the network branch is taken up', low=0.0, high=1.0
     )
@@ -154,6 +184,10 @@ class GateConfig(_Section):
     max_jump_m: float = option(
         0.0, 'largest disagreement with the predicted position, metres; 0 = by voxel and speed',
         low=0.0, high=1000.0,
+    )  # fmt: skip
+    against_motion: float = option(
+        0.75, 'confidence that a pose farther off than that needs from what the scan sees',
+        low=0.0, high=1.0,
     )  # fmt: skip
     max_jump_deg: float = option(
         45.0, 'largest disagreement with the predicted orientation, degrees', low=0.1, high=180.0
@@ -166,111 +200,12 @@ class GateConfig(_Section):
         low=0.0, high=1.0,
     )  # fmt: skip
     min_consistent: float = option(
-        0.45, 'share of those that must stand on what the earlier scan saw', low=0.0, high=1.0
+        0.15, 'share of those that must stand on what the earlier scan saw', low=0.0, high=1.0
     )
 
 
 @dataclass(frozen=True)
-class KeyframeConfig(_Section):
-    """When a scan becomes a keyframe and which ones are kept."""
-
-    min_overlap: float = option(
-        0.7, 'a scan overlapping the keyframe less becomes the next one', low=0.0, high=1.0
-    )
-    max_distance: float = option(
-        20.0,
-        'so many voxels from the keyframe, a scan becomes the next one',
-        low=0.1,
-        high=10_000.0,
-    )
-    max_angle_deg: float = option(
-        20.0,
-        'turned by so much from the keyframe, a scan becomes the next one',
-        low=1.0,
-        high=180.0,
-    )
-    max_age_s: float = option(
-        10.0, 'a scan so much later becomes the next keyframe, seconds', low=0.1, high=3600.0
-    )
-    window: int = option(3, 'recent keyframes a scan may be matched against', low=1, high=20)
-    memory: int = option(50, 'keyframes kept for relocalisation', low=1, high=1000)
-
-
-@dataclass(frozen=True)
-class LostConfig(_Section):
-    """When the front end gives up a pose, and how it comes back."""
-
-    after_bad_frames: int = option(3, 'so many bad frames in a row are LOST', low=1, high=100)
-    reanchor_after: int = option(
-        10, 'so many LOST scans in a row start a new map at the last pose', low=1, high=10_000
-    )
-    keyframes_tried: int = option(
-        5, 'keyframes tried per scan while lost, nearest first', low=1, high=100
-    )
-
-
-@dataclass(frozen=True)
-class CovarianceConfig(_Section):
-    """Pose and twist covariance."""
-
-    scale: float = option(
-        20.0, 'factor on the inverse information: neighbouring residuals are not independent',
-        low=0.01, high=1e6,
-    )  # fmt: skip
-    fallback_factor: float = option(
-        4.0, 'extra factor while the fallback makes the pose', low=1.0, high=1e6
-    )
-    coast_factor: float = option(
-        100.0, 'extra factor per frame whose pose is only predicted', low=1.0, high=1e6
-    )
-
-
-@dataclass(frozen=True)
-class DynamicsConfig(_Section):
-    """Which points move."""
-
-    enabled: bool = option(True, 'estimate P(dynamic) per point and keep movers out of the map')
-    threshold: float = option(
-        0.5, 'points above this P(dynamic) are published as dynamic', low=0.0, high=1.0
-    )
-    memory: int = option(8, 'earlier scans a point is compared with', low=1, high=50)
-    spacing_s: float = option(
-        0.5, 'time between the scans that are kept for that, seconds', low=0.0, high=10.0
-    )
-    cell: float = option(1.0, 'edge of the cells that are judged, in voxels', low=0.25, high=10.0)
-    enter_share: float = option(
-        0.5, 'share of the looks at a place that saw it free, for its points to count as moving',
-        low=0.0, high=1.0,
-    )  # fmt: skip
-    stay_share: float = option(
-        0.15, 'the same for points that counted as moving in the last scan', low=0.0, high=1.0
-    )
-    growth: int = option(5, 'cells that motion spreads over connected points', low=0, high=100)
-    growth_share: float = option(
-        1.0, 'cells a group may grow by, per cell in space seen free', low=0.0, high=100.0
-    )
-    fade: float = option(0.97, 'factor on P(dynamic) per such cell', low=0.0, high=1.0)
-    min_seed_cells: int = option(
-        3, 'groups with fewer cells in space seen free are taken as noise', low=0, high=1000
-    )
-    network_weight: float = option(
-        0.4, "weight of the network's uncertainty where the scene was seen before",
-        low=0.0, high=1.0,
-    )  # fmt: skip
-    tolerance: float = option(
-        0.5, 'slack in range before a point is off a seen surface, in voxels', low=0.01, high=10.0
-    )
-    tolerance_share: float = option(
-        0.01, 'further slack as a share of the range', low=0.0, high=0.5
-    )
-    decay: float = option(0.8, 'share of the evidence that survives a frame', low=0.0, high=1.0)
-    min_cluster_points: int = option(
-        20, 'smaller groups of moving points are taken as noise', low=1, high=10_000
-    )
-
-
-@dataclass(frozen=True)
-class OdometryConfig(_Section):
+class OdometryConfig(Section):
     """Settings of HybridOdometry."""
 
     registrar: str = option('hybridreg', 'which branch leads', choices=('hybridreg', 'kiss-icp'))
@@ -285,7 +220,7 @@ class OdometryConfig(_Section):
     preprocess: PreprocessConfig = option(PreprocessConfig, 'from cloud to registered points')
     map: MapConfig = option(MapConfig, 'the local map')
     refine: RefineConfig = option(RefineConfig, 'ICP against the local map')
-    fallback: FallbackConfig = option(FallbackConfig, 'registration without a network')
+    fallback: FallbackConfig = option(FallbackConfig, 'registration by kiss-icp')
     gate: GateConfig = option(GateConfig, 'when a network pose is trusted')
     keyframe: KeyframeConfig = option(KeyframeConfig, 'when a scan becomes a keyframe')
     lost: LostConfig = option(LostConfig, 'giving up a pose and coming back')

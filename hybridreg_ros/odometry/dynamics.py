@@ -14,7 +14,6 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry import align, cells
 from hybridreg_ros.odometry.rangeimage import FRONT, ON, RangeImage
-from hybridreg_ros.odometry.voxelmap import first_per_voxel
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -95,7 +94,7 @@ class Dynamics:
             cloud: the preprocessed scan.
             T_odom_sensor: (4, 4) its pose.
             local_map: the map of static points; its large planes stop the growth.
-            uncertainty: (N,) float32 sigma^2 per point from the network, or None.
+            uncertainty: (M,) float32 sigma^2 of the network per map point, or None.
 
         Returns:
             (N,) float32 in [0, 1]; 0 outside the range limits.
@@ -110,9 +109,10 @@ class Dynamics:
         remembered = self._remembered(placed[first], spread=False)
         seed = self._seeds(points[first], T_odom_sensor, remembered)
         if uncertainty is not None:
-            seed = self._with_network(
-                seed, uncertainty[usable][first], points[first], T_odom_sensor
-            )
+            whole = np.full(len(cloud.points), -1.0, np.float32)
+            whole[cloud.map_rows] = uncertainty
+            vote = _mean_per_cell(whole[usable], cell, len(keys))
+            seed = self._with_network(seed, vote, points[first], T_odom_sensor)
         value = self._objects(keys, table, slots, counts, seed, placed[first], local_map)
         # Memory comes after the growth and does not spread: else it would creep over everything.
         value = np.maximum(value, self._config.decay * remembered)
@@ -142,7 +142,11 @@ class Dynamics:
         gone = [np.zeros((0, 3), np.float32)]
         for past in self._oldest_and_newest():
             stand = image.stand(
-                past.points, np.eye(4), 2.0 * self._slack_m, self._config.tolerance_share
+                past.points,
+                np.eye(4),
+                2.0 * self._slack_m,
+                self._config.tolerance_share,
+                strict=True,
             )
             gone.append(past.points[stand == FRONT])
         return np.concatenate(gone)
@@ -161,7 +165,7 @@ class Dynamics:
         on = np.zeros(len(points), np.int32)
         for past in self._past:
             stand = past.image.stand(
-                points, T_odom_sensor, self._slack_m, self._config.tolerance_share
+                points, T_odom_sensor, self._slack_m, self._config.tolerance_share, strict=True
             )
             front += stand == FRONT
             on += stand == ON
@@ -175,7 +179,7 @@ class Dynamics:
         if not self._past:
             return seed
         stand = self._past[-1].image.stand(
-            points, T_odom_sensor, self._slack_m, self._config.tolerance_share
+            points, T_odom_sensor, self._slack_m, self._config.tolerance_share, strict=True
         )
         known = (stand == ON) | (stand == FRONT)
         vote = np.where(known, self._config.network_weight * uncertainty, 0.0)
@@ -235,7 +239,9 @@ class Dynamics:
         return value
 
 
-def thinned(points: F32, size_m: float) -> F32:
-    """One point per cube of (N, 3) points."""
-    rows = first_per_voxel(points, size_m)
-    return np.ascontiguousarray(points[rows])
+def _mean_per_cell(values: F32, cell: NDArray[np.int32], count: int) -> F32:
+    """Mean of the values (N,) that are not negative in each of `count` cells; 0 where none is."""
+    given = (values >= 0.0) & (cell >= 0)
+    total = np.bincount(cell[given], weights=values[given], minlength=count)
+    number = np.bincount(cell[given], minlength=count)
+    return (total / np.maximum(1, number)).astype(np.float32)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Fallback without a network: ICP in the same map, with kiss-icp as the second opinion."""
+"""Fallback without a network: kiss-icp's registration in the same map, refined like any pose."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import numpy as np
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.odometry.kiss import KissRegistration
-from hybridreg_ros.odometry.refine import assess, refine
+from hybridreg_ros.odometry.refine import assess, pull_in, refine
+from hybridreg_ros.odometry.voxelmap import first_per_voxel
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.config import OdometryConfig
     from hybridreg_ros.odometry.localmap import LocalMap
     from hybridreg_ros.odometry.preprocess import Cloud, SensorModel
-    from hybridreg_ros.odometry.refine import Fit
+    from hybridreg_ros.odometry.refine import Basin, Fit
 
     F64 = NDArray[np.float64]
 
@@ -30,23 +31,23 @@ _GUESS_POINTS = 400
 class Fallback:
     """Registration without a network (the branch named kiss_icp).
 
-    `follow` refines the prediction point to plane, which is enough while the sensor moves evenly.
-    `locate` scores guesses on the coarse level of the map and pulls the best one in there first.
-    `second_opinion` asks kiss-icp's point-to-point registration; with `engine: kiss-icp` that is
-    the only way.
+    Every pose is made by kiss-icp's point-to-point registration against the middle level of the
+    local map, whose voxels have the size that suits it (in the fine ones it finds no partner for
+    a point after a quick turn), and then refined point to plane, as the network's poses are.
+    `follow` starts it at a guess; `locate` pulls the guess in on the coarse level first.
 
     Args:
         config: settings.
-        sensor: voxel size and ranges.
-        local_map: the map that both branches share; kiss-icp sees a mirror of it.
+        sensor: ranges.
+        local_map: the map that both branches share; kiss-icp gets a copy of its middle level.
     """
 
     def __init__(self, config: OdometryConfig, sensor: SensorModel, local_map: LocalMap) -> None:
         self._config = config
         self._map = local_map
-        self._version = local_map.version
-        voxel = sensor.voxel_size_m
+        self._copied = -1
         section = config.fallback
+        voxel = self._voxel_m = local_map.middle.size_m
         self._kiss = KissRegistration(
             voxel,
             config.map.reach_m or sensor.max_range_m,
@@ -55,80 +56,84 @@ class Fallback:
             section.threads,
             section.initial_threshold_m or 2.0 * voxel,
             section.min_motion_m or 0.1 * voxel,
+            section.convergence * voxel,
         )
 
-    def locate(
-        self, cloud: Cloud, guesses: Sequence[F64], weights: NDArray[np.floating] | None = None
+    def follow(
+        self,
+        cloud: Cloud,
+        guess: F64,
+        weights: NDArray[np.floating] | None = None,
+        basin: Basin = 'fine',
     ) -> Fit:
-        """Pose of a cloud in the map.
+        """Pose of a cloud near a guess.
 
         Args:
             cloud: the preprocessed scan.
-            guesses: (4, 4) poses to start from.
+            guess: (4, 4) pose to start from.
             weights: (K,) trust per registered point, or None.
-
-        Raises:
-            RegistrationError: kiss-icp is the engine and cannot register these points.
-        """
-        guess = self._best(cloud.icp_points, guesses)
-        if self._config.fallback.engine == 'kiss-icp':
-            return self.second_opinion(cloud, guess, weights)
-        return refine(cloud.icp_points, guess, self._map, self._config.refine, weights)
-
-    def follow(
-        self, cloud: Cloud, predicted: F64, weights: NDArray[np.floating] | None = None
-    ) -> Fit:
-        """Pose of a cloud that is near the prediction; arguments as `locate`."""
-        return refine(
-            cloud.icp_points, predicted, self._map, self._config.refine, weights, 'middle'
-        )
-
-    def second_opinion(
-        self, cloud: Cloud, guess: F64, weights: NDArray[np.floating] | None = None
-    ) -> Fit:
-        """Pose by kiss-icp's registration, polished point to plane; arguments as `locate`.
+            basin: level on which the refinement starts.
 
         Raises:
             RegistrationError: kiss-icp cannot register these points.
         """
-        self._mirror()
+        self._copy_map()
         points, section = cloud.icp_points, self._config.fallback
         trusted = points if weights is None else points[weights > 0.5]
-        some = trusted[:: max(1, -(-len(trusted) // section.max_points))]
+        some = trusted[first_per_voxel(trusted, section.thinning * self._voxel_m)]
+        some = some[:: max(1, -(-len(some) // section.max_points))]
         pose = self._kiss.align(some, guess)
         if section.polish:
-            return refine(points, pose, self._map, self._config.refine, weights, 'fine')
+            return refine(points, pose, self._map, self._config.refine, weights, basin)
         return assess(points, pose, self._map, self._config.refine, weights)
+
+    def locate(
+        self, cloud: Cloud, guesses: Sequence[F64], weights: NDArray[np.floating] | None = None
+    ) -> Fit:
+        """Pose of a cloud in the map, from the best of the guesses, pulled in; as `follow`."""
+        guess = self._ranked(cloud.icp_points, guesses)[0]
+        points, settings = cloud.icp_points, self._config.refine
+        near = pull_in(points, guess, self._map, settings, weights, 'coarse')
+        return self.follow(cloud, near, weights, 'middle')
 
     def learn(self, predicted: F64, pose: F64) -> None:
         """Tell kiss-icp's threshold how good the prediction was."""
         self._kiss.learn(predicted, pose)
 
-    def update(self, points: NDArray[np.floating], T_odom_sensor: F64) -> None:
-        """Say that static points (N, 3), sensor frame, entered the map at a pose.
+    def _copy_map(self) -> None:
+        """Give kiss-icp the middle level of the map as it is now."""
+        if self._copied != self._map.changes:
+            self._kiss.rebuild(self._map.middle.points())
+            self._copied = self._map.changes
 
-        The mirror follows at once while kiss-icp makes every pose; otherwise it is built anew
-        when kiss-icp is asked.
+    def search(self, cloud: Cloud, guess: F64) -> list[F64]:
+        """The most promising poses far around a guess, best first: turned and shifted ones.
+
+        Args:
+            cloud: the preprocessed scan.
+            guess: (4, 4) centre of the search.
         """
-        if self._config.fallback.engine == 'kiss-icp' and self._version == self._map.version:
-            self._kiss.update(points, T_odom_sensor)
-        else:
-            self._version = -1
+        section = self._config.fallback
+        guesses = [guess]
+        for angle in section.turns_deg:
+            guesses += turned(guess, angle)
+        for cells in section.shifts:
+            guesses += shifted(guess, cells * self._map.coarse.size_m)
+        return self._ranked(cloud.icp_points, guesses)[: section.searched]
 
-    def _mirror(self) -> None:
-        if self._version != self._map.version:
-            self._kiss.rebuild(self._map.fine.points())
-            self._version = self._map.version
-
-    def _best(self, points: NDArray[np.float32], guesses: Sequence[F64]) -> F64:
-        """The guess under which the points lie nearest to the map."""
-        if len(guesses) == 1:
-            return guesses[0]
+    def _ranked(self, points: NDArray[np.float32], guesses: Sequence[F64]) -> list[F64]:
+        """Guesses by how near to the map they bring the points, best first."""
         some = points[:: max(1, len(points) // _GUESS_POINTS)]
-        return min(guesses, key=lambda T: self._map.coarse.distance(some, T))
+        return sorted(guesses, key=lambda T: self._map.coarse.distance(some, T))
 
 
 def turned(pose: F64, angle_deg: float) -> list[F64]:
     """A pose turned by an angle about each axis of the sensor, both ways."""
     turns = [s * np.deg2rad(angle_deg) * axis for axis in np.eye(3) for s in (1.0, -1.0)]
     return [pose @ se3.transform(se3.so3_exp(w), np.zeros(3)) for w in turns]
+
+
+def shifted(pose: F64, distance_m: float) -> list[F64]:
+    """A pose shifted by a distance along each axis of the sensor, both ways."""
+    shifts = [s * distance_m * axis for axis in np.eye(3) for s in (1.0, -1.0)]
+    return [pose @ se3.transform(np.eye(3), t) for t in shifts]

@@ -5,23 +5,28 @@
 from __future__ import annotations
 
 import logging
-from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hybridreg_ros.core import se3
+from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry import covariance, learned
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.intake import Intake
 from hybridreg_ros.odometry.motion import Motion
 from hybridreg_ros.odometry.preprocess import Cloud, preprocess, recognise_sensor
 from hybridreg_ros.odometry.result import OdometryResult, Reason, Source
+from hybridreg_ros.odometry.stopwatch import Watch
 from hybridreg_ros.odometry.tracker import Estimate, Tracker
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
 
     from hybridreg_ros.core.scan import Scan
+    from hybridreg_ros.odometry.locator import Candidate
 
 _log = logging.getLogger(__name__)
 
@@ -29,23 +34,31 @@ _log = logging.getLogger(__name__)
 class HybridOdometry:
     """Front end: one pose chain and one map, whichever branch makes the pose.
 
-    The first usable scan defines the odom frame. Every pose belongs to the instant its cloud is
-    deskewed to (`preprocess.deskew_to`; the stamp by default).
+    The first usable scan defines the odom frame. A scan with per-point times is deskewed and
+    registered at the mean time of its points; the pose reported is carried by the velocity to the
+    instant of `preprocess.deskew_to` (the stamp by default).
 
     Args:
         config: settings; None = defaults.
         model: 'auto' loads the packaged weights when they ship; None = no network; or a Registrar
             such as HybridReg.
+        motion: makes the motion model (a fit gives one whose predictions are off on purpose).
 
     Raises:
         ConfigError: `model` is something else.
         DependencyError: kiss-icp is not installed.
     """
 
-    def __init__(self, config: OdometryConfig | None = None, model: Any = 'auto') -> None:
+    def __init__(
+        self,
+        config: OdometryConfig | None = None,
+        model: Any = 'auto',
+        motion: Callable[[], Motion] = Motion,
+    ) -> None:
         self.config = config or OdometryConfig()
         wants_network = self.config.registrar == 'hybridreg'
         self._registrar = learned.load(model) if wants_network else None
+        self._make_motion = motion
         self._intake = Intake(self.config.input)
         self.reset()
 
@@ -59,12 +72,18 @@ class HybridOdometry:
         """How many scans were refused for each reason since the start."""
         return self._intake.refused
 
+    @property
+    def judged(self) -> list[Candidate]:
+        """Every pose considered for the last scan, with what speaks for it (for fitting)."""
+        return [] if self._tracker is None else self._tracker.judged
+
     def reset(self) -> None:
         """Forget pose, map and keyframes; the next usable scan defines the odom frame anew."""
         self._intake.reset()
-        self._motion = Motion()
+        self._motion = self._make_motion()
         self._tracker: Tracker | None = None
         self._keyframe_id = 0
+        self._last_pose = self._motion.pose
 
     def step(self, scan: Scan) -> OdometryResult:
         """Take one scan.
@@ -72,7 +91,7 @@ class HybridOdometry:
         It never raises for what a sensor may send: odd stamps, empty or absurd clouds give a
         result that says so.
         """
-        watch = _Stopwatch()
+        watch = Watch()
         fault = self._intake.check(scan)
         if fault is not None and not self._rebase(scan, fault):
             return self._refusal(scan, fault, watch)
@@ -80,7 +99,7 @@ class HybridOdometry:
         watch.lap('preprocess')
         if cloud is None or self._tracker is None:
             return self._without_map(scan, watch)
-        estimate = self._tracker.step(cloud, scan.stamp, watch)
+        estimate = self._tracker.step(cloud, scan.stamp + round(cloud.instant_s * NS_PER_S), watch)
         return self._result(scan, cloud, estimate, fault, watch)
 
     def _rebase(self, scan: Scan, fault: Reason) -> bool:
@@ -103,7 +122,7 @@ class HybridOdometry:
             return cloud
         return preprocess(scan, self._tracker.sensor, self.config.preprocess, self._motion.twist)
 
-    def _without_map(self, scan: Scan, watch: _Stopwatch) -> OdometryResult:
+    def _without_map(self, scan: Scan, watch: Watch) -> OdometryResult:
         """There has been no usable scan yet, so there is no pose."""
         return OdometryResult(
             scan=scan,
@@ -118,13 +137,13 @@ class HybridOdometry:
             timings_s=watch.laps(),
         )
 
-    def _refusal(self, scan: Scan, fault: Reason, watch: _Stopwatch) -> OdometryResult:
+    def _refusal(self, scan: Scan, fault: Reason, watch: Watch) -> OdometryResult:
         """A scan that is not taken: the last pose stands, nothing changes."""
         lost = self._tracker is None or self._tracker.lost
         spread = covariance.lost() if self._tracker is None else self._tracker.covariance
         return OdometryResult(
             scan=scan,
-            pose=self._motion.pose,
+            pose=self._last_pose,
             covariance=spread,
             twist=self._motion.twist,
             twist_covariance=covariance.lost(),
@@ -137,13 +156,22 @@ class HybridOdometry:
             timings_s=watch.laps(),
         )
 
+    def _reported(self, pose: NDArray[np.float64], cloud: Cloud) -> NDArray[np.float64]:
+        """Pose at the instant that is asked for, from that of the registered cloud."""
+        ahead = cloud.reported_s - cloud.instant_s
+        if ahead == 0.0:
+            self._last_pose = pose
+        else:
+            self._last_pose = pose @ se3.exp(self._motion.twist * ahead)
+        return self._last_pose
+
     def _result(
-        self, scan: Scan, cloud: Cloud, estimate: Estimate, fault: Reason | None, watch: _Stopwatch
+        self, scan: Scan, cloud: Cloud, estimate: Estimate, fault: Reason | None, watch: Watch
     ) -> OdometryResult:
         self._keyframe_id = estimate.keyframe_id
         return OdometryResult(
             scan=scan,
-            pose=estimate.pose,
+            pose=self._reported(estimate.pose, cloud),
             covariance=estimate.covariance,
             twist=self._motion.twist,
             twist_covariance=covariance.of_twist(
@@ -158,21 +186,3 @@ class HybridOdometry:
             timings_s=watch.laps(),
             deskewed=cloud.deskewed,
         )
-
-
-class _Stopwatch:
-    """Seconds per stage of one step."""
-
-    def __init__(self) -> None:
-        self._start = self._last = perf_counter()
-        self._laps: dict[str, float] = {}
-
-    def lap(self, stage: str) -> None:
-        """Book the time since the last lap under a stage."""
-        now = perf_counter()
-        self._laps[stage] = self._laps.get(stage, 0.0) + now - self._last
-        self._last = now
-
-    def laps(self) -> Mapping[str, float]:
-        """Seconds per stage, and `total`."""
-        return {**self._laps, 'total': perf_counter() - self._start}

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,15 +29,13 @@ class Keyframe:
         number: running number, 0 for the first.
         stamp: ns.
         T_odom_keyframe: (4, 4) float64.
-        points: (K, 3) float32, thinned, sensor frame, metres.
-        encoding: what the registrar made of it, None without a network.
+        points: (M, 3) float32, thinned, sensor frame, metres.
     """
 
     number: int
     stamp: int
     T_odom_keyframe: NDArray[np.float64]
     points: NDArray[np.float32]
-    encoding: Any = None
 
 
 class Keyframes:
@@ -91,10 +89,9 @@ class Keyframes:
         pose: NDArray[np.float64],
         stamp: int,
         points: NDArray[np.float32],
-        encoding: Any = None,
     ) -> Keyframe:
         """Keep a scan; the oldest one goes when the memory is full."""
-        frame = Keyframe(self._next, stamp, pose, points, encoding)
+        frame = Keyframe(self._next, stamp, pose, points)
         self._frames.append(frame)
         self._next += 1
         return frame

@@ -40,7 +40,7 @@ def _guarded(points: NDArray[np.floating]) -> F64:
 
 
 class KissRegistration:
-    """kiss-icp's point-to-point registration and adaptive threshold on a mirror of the local map.
+    """kiss-icp's point-to-point registration and adaptive threshold on a copy of the local map.
 
     Args:
         voxel_size_m: voxel of the map.
@@ -50,6 +50,7 @@ class KissRegistration:
         threads: threads of one registration.
         initial_threshold_m: first correspondence threshold (kiss-icp: 2 m).
         min_motion_m: deviations below it do not widen the threshold (kiss-icp: 0.1 m).
+        convergence: a step of a smaller norm (metres, radians) ends it (kiss-icp: 1e-4).
 
     Raises:
         DependencyError: kiss-icp is not installed.
@@ -64,6 +65,7 @@ class KissRegistration:
         threads: int = 1,
         initial_threshold_m: float = 2.0,
         min_motion_m: float = 0.1,
+        convergence: float = 1e-4,
     ) -> None:
         _require_kiss_icp()
         from kiss_icp.mapping import VoxelHashMap
@@ -71,7 +73,7 @@ class KissRegistration:
         from kiss_icp.threshold import AdaptiveThreshold
 
         self._map = VoxelHashMap(voxel_size_m, max_range_m, points_per_voxel)
-        self._registration = Registration(max_iterations, 1e-4, threads)
+        self._registration = Registration(max_iterations, convergence, threads)
         self._threshold = AdaptiveThreshold(
             SimpleNamespace(
                 adaptive_threshold=SimpleNamespace(
@@ -122,12 +124,6 @@ class KissRegistration:
         deviation = se3.orthonormalise(se3.inverse(guess) @ pose)
         if np.isfinite(deviation).all():
             self._threshold.update_model_deviation(deviation)
-
-    def update(self, points: NDArray[np.floating], T_odom_sensor: F64) -> None:
-        """Add points (N, 3), sensor frame, at a pose; far map points are forgotten."""
-        usable = _guarded(points)
-        if len(usable):
-            self._map.update(usable, T_odom_sensor)
 
     def rebuild(self, points: NDArray[np.floating]) -> None:
         """Start again from the points (N, 3), odom frame, of the local map."""

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from hybridreg_ros.odometry.keyframes import Keyframe
     from hybridreg_ros.odometry.registrar import Match, Registrar
+    from hybridreg_ros.odometry.stopwatch import Watch
 
 _log = logging.getLogger(__name__)
 
@@ -72,29 +73,43 @@ class Proposal:
 
 
 class LearnedBranch:
-    """Encodes each scan once and matches it against keyframes.
+    """Matches scans with keyframes; each cloud is encoded once, and only when it is needed.
 
     Args:
         registrar: the network.
+        memory: keyframes whose encoding is kept.
     """
 
-    def __init__(self, registrar: Registrar) -> None:
+    def __init__(self, registrar: Registrar, memory: int) -> None:
         self._registrar = registrar
+        self._memory = memory
+        self._points: NDArray[np.float32] | None = None
+        self._encoding: Any = None
+        self._keyframes: dict[int, Any] = {}
 
-    def encode(self, points: NDArray[np.float32]) -> Any:
-        """Encoding of a scan (N, 3), or None when it cannot be encoded (too few points)."""
-        try:
-            return self._registrar.encode(points)
-        except RegistrationError as error:
-            _log.debug('scan not encoded: %s', error)
-            return None
+    def begin(self, points: NDArray[np.float32]) -> None:
+        """Take up a new scan (M, 3), sensor frame, metres."""
+        self._points, self._encoding = points, None
 
-    def propose(self, encoding: Any, keyframe: Keyframe | None) -> Proposal | None:
-        """Pose of an encoded scan through a keyframe, or None when there is no answer."""
-        if encoding is None or keyframe is None or keyframe.encoding is None:
+    def adopt(self, keyframe: Keyframe) -> None:
+        """The current scan has become this keyframe: keep its encoding if there is one."""
+        if self._encoding is not None:
+            self._keyframes[keyframe.number] = self._encoding
+        while len(self._keyframes) > self._memory:
+            del self._keyframes[min(self._keyframes)]
+
+    def propose(self, keyframe: Keyframe | None, watch: Watch | None = None) -> Proposal | None:
+        """Pose of the current scan through a keyframe, or None when there is no answer."""
+        if keyframe is None or self._points is None:
             return None
         try:
-            match: Match = self._registrar.match(encoding, keyframe.encoding)
+            if self._encoding is None:
+                self._encoding = self._registrar.encode(self._points)
+            if keyframe.number not in self._keyframes:
+                self._keyframes[keyframe.number] = self._registrar.encode(keyframe.points)
+            if watch is not None:
+                watch.lap('encode')
+            match: Match = self._registrar.match(self._encoding, self._keyframes[keyframe.number])
         except RegistrationError as error:
             _log.debug('no match with keyframe %d: %s', keyframe.number, error)
             return None

@@ -111,7 +111,7 @@ class LocalMap:
         self.coarse = VoxelLevel(voxel_size_m * coarse_factor, points_per_voxel)
         self._reach_m = reach_m
         self._pruned_at = np.full(3, np.inf)
-        self.version = 0
+        self.changes = 0
         self.updates = 0
 
     @property
@@ -131,6 +131,7 @@ class LocalMap:
             position: (3,) of the sensor, odom frame, metres.
         """
         self.updates += 1
+        self.changes += 1
         for level in self.levels:
             level.add(points)
         if not np.linalg.norm(position - self._pruned_at) < 0.1 * self._reach_m:
@@ -147,7 +148,7 @@ class LocalMap:
         removed = 0
         for level in self.levels:
             removed += level.erase_near(points, 0.5 * level.size_m)
-        self.version += removed > 0
+        self.changes += removed > 0
         return removed
 
     def clear(self) -> None:
@@ -155,4 +156,4 @@ class LocalMap:
         for level in self.levels:
             level.clear()
         self._pruned_at = np.full(3, np.inf)
-        self.version += 1
+        self.changes += 1

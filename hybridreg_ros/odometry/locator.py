@@ -5,20 +5,20 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.odometry.confidence import Evidence, Gate, Verdict, judge
-from hybridreg_ros.odometry.fallback import Fallback, turned
+from hybridreg_ros.odometry.fallback import Fallback
 from hybridreg_ros.odometry.refine import Fit, refine
 from hybridreg_ros.odometry.result import Reason, Source
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -27,19 +27,13 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.learned import LearnedBranch, Proposal
     from hybridreg_ros.odometry.localmap import LocalMap
     from hybridreg_ros.odometry.preprocess import Cloud, SensorModel
+    from hybridreg_ros.odometry.stopwatch import Watch
     from hybridreg_ros.odometry.visibility import Sightings
 
     F64 = NDArray[np.float64]
     F32 = NDArray[np.float32]
 
 _log = logging.getLogger(__name__)
-
-
-class Watch(Protocol):
-    """Books the time of a stage."""
-
-    def lap(self, stage: str) -> None:
-        """Book the time since the last lap under a stage."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +47,7 @@ class Located:
         reason: why that branch.
         confidence: P(pose right), [0, 1].
         evident: the part of it that the evidence alone gives, [0, 1].
-        uncertainty: (N,) float32 of the network per point of the cloud, None without one.
+        uncertainty: (M,) float32 of the network per map point of the cloud, None without one.
     """
 
     fit: Fit
@@ -66,7 +60,7 @@ class Located:
 
 
 @dataclass(frozen=True, eq=False)
-class _Candidate:
+class Candidate:
     """A pose under judgement."""
 
     fit: Fit
@@ -84,6 +78,9 @@ class Locator:
         learned: the network branch, or None.
         keyframes: what the network matches against.
         sightings: what earlier scans saw.
+
+    Attributes:
+        judged: every pose that was considered for the last scan.
     """
 
     def __init__(
@@ -107,7 +104,7 @@ class Locator:
             Reason.REGISTRAR_KISS_ICP if config.registrar == 'kiss-icp' else Reason.NO_WEIGHTS
         )
         self.learn = self._fallback.learn
-        self.update = self._fallback.update
+        self.judged: list[Candidate] = []
 
     def locate(
         self,
@@ -115,7 +112,6 @@ class Locator:
         predicted: F64,
         last: F64,
         dt_s: float,
-        encoding: Any,
         trust: F32,
         watch: Watch,
     ) -> Located | Reason:
@@ -126,58 +122,84 @@ class Locator:
             predicted: (4, 4) pose by constant velocity.
             last: (4, 4) last pose.
             dt_s: seconds since then.
-            encoding: of the scan by the network, or None.
             trust: (K,) weight per registered point.
             watch: books the time per stage.
         """
+        self.judged = []
         check = partial(self._judged, cloud, trust, predicted, dt_s)
+        guesses = [predicted, last]
         if self._learned is None:
-            return self._by_fallback(cloud, [predicted, last], trust, check, self._no_network)
-        proposal = self._learned.propose(encoding, self._keyframes.to_match(predicted))
+            return self._by_fallback(cloud, guesses, trust, check, self._no_network)
+        first = None
+        if self._config.gate.network == 'in_doubt':
+            first = self._followed(cloud, predicted, trust, check)
+            watch.lap('refine')
+            if first is not None and self._without_doubt(first.verdict.confidence, first.evidence):
+                return _by_kiss(first, Reason.NOT_NEEDED)
+        proposal = self._learned.propose(self._keyframes.to_match(predicted), watch)
         watch.lap('match')
         found = self._by_network(cloud, proposal, trust, check)
         watch.lap('refine')
         if isinstance(found, Reason):
-            return self._by_fallback(cloud, [predicted, last], trust, check, found)
-        if found.evident >= self._config.fallback.sure:
+            return self._by_fallback(cloud, guesses, trust, check, found, first)
+        if self._without_doubt(found.evident, found.evidence):
             return found
         # The network is confident, but the scan stands badly there: ask for another opinion.
-        other = self._by_fallback(cloud, [predicted, last], trust, check, Reason.REFINEMENT_FAILED)
+        why = Reason.REFINEMENT_FAILED
+        other = self._by_fallback(cloud, guesses, trust, check, why, first)
         better = isinstance(other, Located) and other.evident > found.evident
         return other if better else found
 
-    def relocate(self, cloud: Cloud, last: F64, encoding: Any) -> Located | Reason:
+    def relocate(self, cloud: Cloud, last: F64) -> Located | Reason:
         """Pose of a scan when the last pose says little: by the fallback, then by keyframes.
 
         Args:
             cloud: the preprocessed scan.
             last: (4, 4) last pose before the loss.
-            encoding: of the scan by the network, or None.
         """
         trust = np.ones(len(cloud.icp_rows), np.float32)
+        self.judged = []
         check = partial(self._judged, cloud, trust, None, 0.0)
         found = self._by_fallback(cloud, [last], trust, check, Reason.RECOVERED)
         if isinstance(found, Located) and found.confidence >= self._config.fallback.sure:
             return found
         if self._learned is not None:
             for keyframe in self._keyframes.nearest(last, self._config.lost.keyframes_tried):
-                proposal = self._learned.propose(encoding, keyframe)
+                proposal = self._learned.propose(keyframe)
                 by_network = self._by_network(cloud, proposal, trust, check)
                 if isinstance(by_network, Located):
                     return by_network
         return Reason.LOW_CONFIDENCE if isinstance(found, Located) else found
+
+    def _without_doubt(self, confidence: float, evidence: Evidence) -> bool:
+        """Whether a pose is taken without a second opinion.
+
+        Confidence alone is not enough: at a wrong pose along walls most points find the map too.
+        """
+        sure = confidence >= self._config.fallback.sure
+        return sure and evidence.consistent >= self._config.gate.doubt
+
+    def _followed(
+        self, cloud: Cloud, predicted: F64, trust: F32, check: Callable[[Fit], Candidate]
+    ) -> Candidate | None:
+        """Fallback from the prediction, or None when it cannot register."""
+        try:
+            return check(self._fallback.follow(cloud, predicted, trust))
+        except RegistrationError as error:
+            _log.debug('fallback: %s', error)
+            return None
 
     def _by_network(
         self,
         cloud: Cloud,
         proposal: Proposal | None,
         trust: F32,
-        check: Callable[[Fit], _Candidate],
+        check: Callable[[Fit], Candidate],
     ) -> Located | Reason:
         """The network's pose, refined in the map; or why it is not taken."""
         if proposal is None or not self._gate.passes(proposal.confidence):
             return Reason.LOW_CONFIDENCE
-        weights = trust * (1.0 - proposal.uncertainty)
+        weights = trust * (1.0 - proposal.uncertainty[cloud.icp_in_map])
         fit = refine(
             cloud.icp_points,
             proposal.T_odom_sensor,
@@ -198,7 +220,7 @@ class Locator:
             Reason.OK,
             min(proposal.confidence, candidate.verdict.confidence),
             candidate.verdict.confidence,
-            cloud.spread(proposal.uncertainty),
+            proposal.uncertainty,
         )
 
     def _by_fallback(
@@ -206,23 +228,19 @@ class Locator:
         cloud: Cloud,
         guesses: Sequence[F64],
         trust: F32,
-        check: Callable[[Fit], _Candidate],
+        check: Callable[[Fit], Candidate],
         reason: Reason,
+        first: Candidate | None = None,
     ) -> Located | Reason:
-        """Fallback from the guesses; while in doubt, other ways and turned guesses. Best wins."""
-        section, locate = self._config.fallback, self._fallback.locate
-        attempts: list[Callable[[], Fit]] = [
-            partial(self._fallback.follow, cloud, guesses[0], trust),
-            partial(locate, cloud, guesses, trust),
-            partial(self._fallback.second_opinion, cloud, guesses[0], trust),
-        ]
-        attempts += [
-            partial(locate, cloud, turned(guesses[0], a), trust) for a in section.turns_deg
-        ]
-        if section.engine == 'kiss-icp':
-            attempts = attempts[1:2]
-        best: _Candidate | None = None
-        for tried, attempt in enumerate(attempts):
+        """Fallback from the guesses; while in doubt, other ways and turned guesses. Best wins.
+
+        `first` is the outcome of the first attempt when that was made already.
+        """
+        section = self._config.fallback
+        best = first
+        for tried, attempt in enumerate(self._attempts(cloud, guesses, trust)):
+            if tried == 0 and first is not None:
+                continue
             try:
                 found = check(attempt())
             except RegistrationError as error:
@@ -230,7 +248,11 @@ class Locator:
                 continue
             if best is None or found.verdict.confidence > best.verdict.confidence:
                 best = found
-            if best.verdict.confidence >= (section.sure if tried == 0 else section.good):
+            if tried == 0:
+                enough = self._without_doubt(best.verdict.confidence, best.evidence)
+            else:
+                enough = best.verdict.confidence >= section.good
+            if enough:
                 break
         if best is None:
             return Reason.REFINEMENT_FAILED
@@ -238,22 +260,36 @@ class Locator:
             return best.verdict.fault
         if best.verdict.confidence < section.accept:
             return Reason.LOW_CONFIDENCE
-        return Located(
-            best.fit,
-            best.evidence,
-            Source.KISS_ICP,
-            reason,
-            best.verdict.confidence,
-            best.verdict.confidence,
-        )
+        return _by_kiss(best, reason)
+
+    def _attempts(
+        self, cloud: Cloud, guesses: Sequence[F64], trust: F32
+    ) -> Iterator[Callable[[], Fit]]:
+        """Ways to register without a network, the cheapest first."""
+        fallback = self._fallback
+        yield partial(fallback.follow, cloud, guesses[0], trust)
+        yield partial(fallback.locate, cloud, guesses, trust)
+        for guess in fallback.search(cloud, guesses[0]):
+            yield partial(fallback.locate, cloud, [guess], trust)
 
     def _judged(
         self, cloud: Cloud, trust: F32, predicted: F64 | None, dt_s: float, fit: Fit
-    ) -> _Candidate:
+    ) -> Candidate:
         """A pose with what speaks for it, judged by the points that do not move."""
         points = cloud.icp_points[trust > 0.5]
-        evidence = self._sightings.evidence(points, fit.T_odom_sensor, fit.overlap)
+        evidence = replace(
+            self._sightings.evidence(points, fit.T_odom_sensor, fit.overlap),
+            spread=fit.scale_m / self._voxel_m,
+        )
         verdict = judge(
             evidence, fit.T_odom_sensor, predicted, dt_s, self._voxel_m, self._config.gate
         )
-        return _Candidate(fit, evidence, verdict)
+        candidate = Candidate(fit, evidence, verdict)
+        self.judged.append(candidate)
+        return candidate
+
+
+def _by_kiss(found: Candidate, reason: Reason) -> Located:
+    """A pose that kiss-icp made; its evidence is all that speaks for it."""
+    confidence = found.verdict.confidence
+    return Located(found.fit, found.evidence, Source.KISS_ICP, reason, confidence, confidence)

@@ -49,7 +49,9 @@ class Cloud:
         usable: (N,) bool, inside the range limits.
         map_rows: (M,) rows of `points` thinned for the map.
         icp_rows: (K,) rows of `points` thinned for registration, K <= icp_points.
-        deskewed: True when `points` differ from the scan's.
+        deskewed: True when the motion during the scan was undone.
+        instant_s: instant of `points`, seconds after the scan's stamp.
+        reported_s: instant at which the pose is wanted, seconds after the scan's stamp.
     """
 
     points: NDArray[np.float32]
@@ -57,24 +59,18 @@ class Cloud:
     map_rows: NDArray[np.int64]
     icp_rows: NDArray[np.int64]
     deskewed: bool
+    instant_s: float
+    reported_s: float
 
     @property
     def map_points(self) -> NDArray[np.float32]:
         """(M, 3) points that go into the map."""
         return self.points[self.map_rows]
 
-    def spread(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Values (K,) of the registered points given to the nearest of them of every point (N,).
-
-        Points outside the range limits get 0.
-        """
-        from scipy.spatial import cKDTree
-
-        out = np.zeros(len(self.points), np.float32)
-        rows = np.flatnonzero(self.usable)
-        _, nearest = cKDTree(self.icp_points).query(self.points[rows])
-        out[rows] = values[nearest]
-        return out
+    @property
+    def icp_in_map(self) -> NDArray[np.int64]:
+        """(K,) place of each registered point among the map points."""
+        return np.searchsorted(self.map_rows, self.icp_rows)
 
     @property
     def icp_points(self) -> NDArray[np.float32]:
@@ -126,7 +122,10 @@ def preprocess(
         config: settings.
         twist: (6,) linear (m/s) and angular (rad/s) velocity, sensor frame, for the deskew.
     """
-    points, deskewed = deskew(scan, config, twist)
+    instant_s, reported_s = instants(scan, config)
+    points, deskewed = scan.points, instant_s != reported_s
+    if deskewed and scan.times is not None and np.any(twist):
+        points = deskew(points, scan.times, twist, instant_s)
     usable = _in_range(points, sensor.min_range_m**2, sensor.max_range_m**2)
     rows = np.flatnonzero(usable)
     if len(rows) > config.max_points:
@@ -137,27 +136,47 @@ def preprocess(
     ]
     if len(icp_rows) > config.icp_points:
         icp_rows = icp_rows[:: -(-len(icp_rows) // config.icp_points)]
-    return Cloud(points, usable, map_rows, icp_rows, deskewed)
+    return Cloud(points, usable, map_rows, icp_rows, deskewed, instant_s, reported_s)
 
 
 def deskew(
-    scan: Scan, config: PreprocessConfig, twist: NDArray[np.float64]
-) -> tuple[NDArray[np.float32], bool]:
+    points: NDArray[np.float32],
+    times: NDArray[np.float64],
+    twist: NDArray[np.float64],
+    instant_s: float,
+) -> NDArray[np.float32]:
     """Points as seen from where the sensor was at one instant, if it moved evenly.
 
-    The instant is the scan's stamp, or its first or last point (`deskew_to`). Times that are not
-    finite, all equal, or spread over more than a second are not believed: nothing is moved.
+    Args:
+        points: (N, 3) float32, each in the sensor frame at its own time, metres.
+        times: (N,) seconds.
+        twist: (6,) linear (m/s) and angular (rad/s) velocity, sensor frame.
+        instant_s: the instant, on the same clock as `times`.
 
     Returns:
-        Points (N, 3) float32 and whether they were moved.
+        (N, 3) float32, sensor frame at the instant.
+    """
+    moved: NDArray[np.float32] = _deskew(
+        points, times - instant_s, twist[:3].copy(), twist[3:].copy()
+    )
+    return moved
+
+
+def instants(scan: Scan, config: PreprocessConfig) -> tuple[float, float]:
+    """When a scan is registered and when its pose is reported, seconds after its stamp.
+
+    A scan with believable times is registered at the mean time of its points, because there a
+    wrong velocity does not shift the cloud as a whole: at the start or the end it would, the next
+    velocity would be wrong the other way round, and the pose would swing.
+
+    Args:
+        scan: the scan.
+        config: whether to deskew, and the instant to report (`deskew_to`).
     """
     if not config.deskew or scan.times is None or not believable(scan.times):
-        return scan.points, False
-    offset = {'stamp': 0.0, 'start': scan.times.min(), 'end': scan.times.max()}[config.deskew_to]
-    if not np.any(twist):
-        return scan.points, True
-    moved = _deskew(scan.points, scan.times - offset, twist[:3].copy(), twist[3:].copy())
-    return moved, True
+        return 0.0, 0.0
+    reported = {'stamp': 0.0, 'start': scan.times.min(), 'end': scan.times.max()}
+    return float(scan.times.mean()), float(reported[config.deskew_to])
 
 
 def believable(times: NDArray[np.float64]) -> bool:

@@ -117,6 +117,7 @@ class RangeImage:
         # A point counts as off a surface only when it is off in the 3x3 pixels around it, so that
         # slanted surfaces and edges do not look like things that moved.
         self._near, self._far = _widen(near, far, view.wraps)
+        self._inside = _inside(far > 0.0, view.wraps)
 
     def stand(
         self,
@@ -124,7 +125,7 @@ class RangeImage:
         T_odom_sensor: NDArray[np.float64],
         tolerance_m: float,
         tolerance_share: float,
-        shift: NDArray[np.float32] | None = None,
+        strict: bool = False,
     ) -> NDArray[np.int8]:
         """Where points of another scan stand against this one.
 
@@ -133,20 +134,34 @@ class RangeImage:
             T_odom_sensor: (4, 4) pose of the other scan.
             tolerance_m: slack in range, metres.
             tolerance_share: further slack as a share of the range.
-            shift: (N,) float32 out: range of the point minus that of the surface (negative in
-                front of it), 0 where unseen or on it.
+            strict: take the rim of the view, where the slope of a surface cannot be told, as
+                unseen.
 
         Returns:
             (N,) int8 of UNSEEN, FRONT, ON, BEHIND.
         """
         T = se3.inverse(self.T_odom_sensor) @ T_odom_sensor
         out = np.zeros(len(points), np.int8)
-        gap = np.zeros(len(points), np.float32) if shift is None else shift
         _stand(
             points, T[:3, :3].copy(), T[:3, 3].copy(), *_geometry(self.view),
-            self._near, self._far, tolerance_m, tolerance_share, out, gap,
+            self._near, self._far, tolerance_m, tolerance_share, self._inside, strict, out,
         )  # fmt: skip
         return out
+
+
+def _inside(filled: NDArray[np.bool_], wraps: bool) -> NDArray[np.bool_]:
+    """Pixels with seen ones on both sides in their column and, unless it wraps, in their row."""
+    inside = np.zeros_like(filled)
+    for axis in (0,) if wraps else (0, 1):
+        before = np.maximum.accumulate(filled, axis=axis)
+        after = np.flip(np.maximum.accumulate(np.flip(filled, axis), axis=axis), axis)
+        between = np.zeros_like(filled)
+        if axis == 0:
+            between[1:-1] = before[:-2] & after[2:]
+        else:
+            between[:, 1:-1] = before[:, :-2] & after[:, 2:]
+        inside = between if axis == 0 else inside & between
+    return inside
 
 
 def _geometry(
@@ -209,7 +224,21 @@ def _widen(near, far, wraps):  # type: ignore[no-untyped-def]
 
 @_jit
 def _stand(  # type: ignore[no-untyped-def]
-    points, R, t, basis, azimuth, elevation, step, wraps, near, far, slack, share, out, gap
+    points,
+    R,
+    t,
+    basis,
+    azimuth,
+    elevation,
+    step,
+    wraps,
+    near,
+    far,
+    slack,
+    share,
+    inside,
+    strict,
+    out,
 ):
     height, width = near.shape
     B = basis @ R
@@ -220,7 +249,6 @@ def _stand(  # type: ignore[no-untyped-def]
         s = B[1, 0] * px + B[1, 1] * py + B[1, 2] * pz + o[1]
         u = B[2, 0] * px + B[2, 1] * py + B[2, 2] * pz + o[2]
         out[i] = UNSEEN
-        gap[i] = 0.0
         flat = np.sqrt(f * f + s * s)
         row = int(np.floor((np.arctan2(u, flat) - elevation) / step[1]))
         if row < 0 or row >= height:
@@ -231,16 +259,14 @@ def _stand(  # type: ignore[no-untyped-def]
         if column < 0 or column >= width:
             continue
         high = far[row, column]
-        if high == 0.0:
+        if high == 0.0 or (strict and not inside[row, column]):
             continue
         low = near[row, column]
         r = np.sqrt(flat * flat + u * u)
         tolerance = slack + share * r
         if r < low - tolerance:
             out[i] = FRONT
-            gap[i] = r - low
         elif r > high + tolerance:
             out[i] = BEHIND
-            gap[i] = r - high
         else:
             out[i] = ON

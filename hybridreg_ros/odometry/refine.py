@@ -33,25 +33,16 @@ class Fit:
         T_odom_sensor: (4, 4) float64.
         information: (6, 6) of the pose error (x y z, turn about the sensor; odom axes), 1/m^2 and
             1/rad^2; zero where nothing was found.
-        residual_m: (N,) distance of every point to the surface it was paired with, inf = no pair.
         overlap: share of the points with a surface of the map nearby, [0, 1].
-        inlier_share: share of those whose residual is small, [0, 1].
         scale_m: robust standard deviation of the plane residuals, metres.
         converged: False when the iterations ended while the pose still moved.
     """
 
     T_odom_sensor: NDArray[np.float64]
     information: NDArray[np.float64]
-    residual_m: NDArray[np.float64]
     overlap: float
-    inlier_share: float
     scale_m: float
     converged: bool
-
-    @property
-    def weakest(self) -> float:
-        """Smallest eigenvalue of the translation block of the information, 1/m^2."""
-        return float(np.linalg.eigvalsh(self.information[:3, :3])[0])
 
 
 class _Surfaces:
@@ -111,7 +102,7 @@ def refine(
     """
     start = T_odom_sensor
     if basin != 'fine':
-        start = _pull_in(points, T_odom_sensor, local_map, config, weights, basin)
+        start = pull_in(points, T_odom_sensor, local_map, config, weights, basin)
     points, trust = _prepared(points, weights)
     floor = 4.0 * config.min_scale if basin == 'fine' else 0.4 * config.start_scale
     T, converged = _iterate(
@@ -120,7 +111,7 @@ def refine(
     return assess(points, T, local_map, config, weights, converged)
 
 
-def _pull_in(
+def pull_in(
     points: NDArray[np.floating],
     T_odom_sensor: NDArray[np.float64],
     local_map: LocalMap,
@@ -171,16 +162,15 @@ def assess(
     surfaces.search(points, T_odom_sensor, (local_map.fine, local_map.middle), local_map.updates)
     surfaces.measure(points, T_odom_sensor)
     scale = surfaces.scale(config.min_scale * level.size_m, level.size_m)
-    H, _, _, _ = _system(points, trust, T_odom_sensor, surfaces, scale, level)
+    # Point-to-point pairs follow the sampling, not the scene: they say nothing about the error.
+    planes = np.where(surfaces.kind == align.PLANE, trust, 0.0)
+    H, _, _, _ = _system(points, planes, T_odom_sensor, surfaces, scale, level)
     usable = trust > 0.5
     paired = usable & (surfaces.kind != align.NONE)
-    small = surfaces.residual < config.inlier_distance * level.size_m
     return Fit(
         T_odom_sensor=T_odom_sensor,
         information=H,
-        residual_m=surfaces.residual,
         overlap=float(paired.sum() / max(1, usable.sum())),
-        inlier_share=float((paired & small).sum() / max(1, paired.sum())),
         scale_m=scale,
         converged=converged,
     )

@@ -21,7 +21,7 @@ LOST_VARIANCE = 9999.0
 
 
 class Source(StrEnum):
-    """Which branch made the pose of a step."""
+    """Which branch made the pose of a step; both kinds are refined point to plane in the map."""
 
     HYBRIDREG = 'hybridreg'
     KISS_ICP = 'kiss_icp'
@@ -36,6 +36,7 @@ class Reason(StrEnum):
     NO_WEIGHTS = 'no_weights'
     REGISTRAR_KISS_ICP = 'registrar_kiss_icp'
     LOW_CONFIDENCE = 'low_confidence'
+    NOT_NEEDED = 'not_needed'
     TOO_FEW_POINTS = 'too_few_points'
     DISAGREES_WITH_MOTION = 'disagrees_with_motion'
     REFINEMENT_FAILED = 'refinement_failed'
@@ -58,7 +59,8 @@ class OdometryResult:
             the odom frame (REP-103); 9999 on the diagonal when `source` is LOST.
         twist: (6,) linear (m/s) and angular (rad/s) velocity in the sensor frame.
         twist_covariance: (6, 6) of `twist`.
-        source: the branch that made the pose.
+        source: the branch that made the pose; of a pose that is only predicted (confidence 0), the
+            branch of the pose that the prediction starts from.
         reason: why that branch.
         confidence: calibrated P(pose right), [0, 1]; 0 when LOST.
         dynamic_probability: (N,) float32 in [0, 1], one value per point of `scan.points`.

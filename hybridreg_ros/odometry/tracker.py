@@ -6,17 +6,17 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.odometry import covariance
+from hybridreg_ros.odometry import calibration, covariance
 from hybridreg_ros.odometry.dynamics import Dynamics
 from hybridreg_ros.odometry.keyframes import Keyframes
 from hybridreg_ros.odometry.learned import LearnedBranch
 from hybridreg_ros.odometry.localmap import LocalMap
-from hybridreg_ros.odometry.locator import Located, Locator
+from hybridreg_ros.odometry.locator import Candidate, Located, Locator
 from hybridreg_ros.odometry.result import Reason, Source
 from hybridreg_ros.odometry.visibility import Sightings
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.preprocess import Cloud, SensorModel
     from hybridreg_ros.odometry.rangeimage import RangeImage
     from hybridreg_ros.odometry.registrar import Registrar
+    from hybridreg_ros.odometry.stopwatch import Watch
 
     F64 = NDArray[np.float64]
 
@@ -35,13 +36,6 @@ _log = logging.getLogger(__name__)
 
 _STATIC_BELOW = 0.3
 """Only points of a lower P(dynamic) enter the map."""
-
-
-class Watch(Protocol):
-    """Books the time of a stage."""
-
-    def lap(self, stage: str) -> None:
-        """Book the time since the last lap under a stage."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +87,9 @@ class Tracker:
             config.map.points_per_voxel,
             config.map.coarse_factor,
         )
-        self._learned = None if registrar is None else LearnedBranch(registrar)
+        self._learned = (
+            None if registrar is None else LearnedBranch(registrar, config.keyframe.memory)
+        )
         self._keyframes = Keyframes(config.keyframe, sensor.voxel_size_m)
         self._sightings = Sightings(config.dynamics, sensor)
         self._dynamics = Dynamics(config.dynamics, sensor)
@@ -111,34 +107,37 @@ class Tracker:
             stamp: its stamp, ns.
             watch: books the time per stage.
         """
+        self._locator.judged = []
         if len(cloud.icp_rows) < self._config.input.min_points:
             return self._bad(cloud, stamp, Reason.TOO_FEW_POINTS)
-        encoding = None if self._learned is None else self._learned.encode(cloud.icp_points)
-        watch.lap('encode')
+        if self._learned is not None:
+            self._learned.begin(cloud.map_points)
         if len(self._map) == 0:
-            return self._begin(cloud, stamp, encoding, Reason.FIRST_SCAN)
+            return self._begin(cloud, stamp, Reason.FIRST_SCAN)
         predicted = self._motion.predict(stamp)
         trust = self._dynamics.trust(cloud.icp_points, predicted)
         if self.lost:
-            found = self._locator.relocate(cloud, self._motion.pose, encoding)
+            found = self._locator.relocate(cloud, self._motion.pose)
         else:
             dt = self._motion.seconds_to(stamp)
-            found = self._locator.locate(
-                cloud, predicted, self._motion.pose, dt, encoding, trust, watch
-            )
+            found = self._locator.locate(cloud, predicted, self._motion.pose, dt, trust, watch)
         watch.lap('refine')
         if isinstance(found, Located):
-            return self._accept(cloud, stamp, predicted, encoding, found, watch)
+            return self._accept(cloud, stamp, predicted, found, watch)
         if self.lost and self._give_up():
-            return self._begin(cloud, stamp, encoding, Reason.RECOVERED)
+            return self._begin(cloud, stamp, Reason.RECOVERED)
         return self._bad(cloud, stamp, found)
+
+    @property
+    def judged(self) -> list[Candidate]:
+        """Every pose that was considered for the last cloud."""
+        return self._locator.judged
 
     def _accept(
         self,
         cloud: Cloud,
         stamp: int,
         predicted: F64,
-        encoding: Any,
         found: Located,
         watch: Watch,
     ) -> Estimate:
@@ -153,7 +152,7 @@ class Tracker:
         self.lost, self._bad_frames, self._lost_scans = False, 0, 0
         self.source = found.source
         section = self._config.covariance
-        factor = section.scale
+        factor = section.scale or calibration.packaged().covariance_scale[self.sensor.kind]
         if found.source is Source.KISS_ICP:
             factor *= section.fallback_factor
         self.covariance = covariance.of_pose(found.fit.information, factor)
@@ -162,13 +161,13 @@ class Tracker:
         watch.lap('dynamics')
         is_keyframe = self._keyframes.wanted(pose, stamp, found.evidence.seen)
         if is_keyframe:
-            self._keyframes.add(pose, stamp, cloud.icp_points, encoding)
+            self._add_keyframe(cloud, pose, stamp)
         self._write(cloud, pose, stamp, image, dynamic, is_keyframe)
         watch.lap('map')
         reason = Reason.RECOVERED if was_lost else found.reason
         return self._estimate(pose, reason, found.confidence, dynamic, is_keyframe)
 
-    def _begin(self, cloud: Cloud, stamp: int, encoding: Any, reason: Reason) -> Estimate:
+    def _begin(self, cloud: Cloud, stamp: int, reason: Reason) -> Estimate:
         """Start a map at the last pose: the first scan, or a new start after a loss.
 
         After a loss the way between the old map and the new one is not known: the pose of that
@@ -182,7 +181,7 @@ class Tracker:
         self.covariance = covariance.first() if first else covariance.lost()
         dynamic = np.zeros(len(cloud.points), np.float32)
         image = self._sightings.draw(cloud, pose)
-        self._keyframes.add(pose, stamp, cloud.icp_points, encoding)
+        self._add_keyframe(cloud, pose, stamp)
         self._write(cloud, pose, stamp, image, dynamic, is_keyframe=True)
         return self._estimate(pose, reason, 1.0 if first else 0.0, dynamic, is_keyframe=True)
 
@@ -200,6 +199,11 @@ class Tracker:
                 self.covariance, self._config.covariance.coast_factor, self.sensor.voxel_size_m
             )
         return self._estimate(self._motion.pose, reason, 0.0, dynamic, is_keyframe=False)
+
+    def _add_keyframe(self, cloud: Cloud, pose: F64, stamp: int) -> None:
+        keyframe = self._keyframes.add(pose, stamp, cloud.map_points)
+        if self._learned is not None:
+            self._learned.adopt(keyframe)
 
     def _give_up(self) -> bool:
         """Whether the old map is given up; then it is forgotten, with all that belongs to it."""
@@ -238,7 +242,6 @@ class Tracker:
             self._dynamics.remember(image, se3.apply(pose, cloud.points[rows]), stamp)
         points = cloud.points[static].astype(np.float64)
         self._map.update(se3.apply(pose, points), pose[:3, 3])
-        self._locator.update(points, pose)
         self._sightings.keep(image, is_keyframe)
 
     def _estimate(

@@ -14,13 +14,9 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import FileFormatError
 from hybridreg_ros.core.pointcloud2 import from_arrays
 from hybridreg_ros.core.scan import NS_PER_S
+from hybridreg_ros.data.clouds_depth import organised_points, read_depth_m, read_intrinsics
+from hybridreg_ros.data.tum import CAMERAS, UNITS_PER_M, USUAL_CAMERA
 from hybridreg_ros.replay import trajectory_io
-from hybridreg_ros.replay.depth_images import (
-    Pinhole,
-    back_project,
-    read_depth,
-    read_intrinsics,
-)
 from hybridreg_ros.replay.recording import EPOCH_S, RecordedFrame
 
 if TYPE_CHECKING:
@@ -29,19 +25,15 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hybridreg_ros.core.pointcloud2 import CloudData
+    from hybridreg_ros.data.clouds_depth import Intrinsics
     from hybridreg_ros.metrics.trajectory import Trajectory
 
 LIDAR_FRAME = 'lidar'
 CAMERA_FRAME = 'camera_depth_optical_frame'
 KITTI_RATE_HZ, DEPTH_RATE_HZ = 10.0, 30.0
-TUM_UNITS_PER_M, DEPTH_UNITS_PER_M = 5000.0, 1000.0
+DEPTH_UNITS_PER_M = 1000.0
 MAX_POSE_GAP_S = 0.1
-TUM_CAMERAS = {
-    'freiburg1': Pinhole(517.3, 516.5, 318.6, 255.3),
-    'freiburg2': Pinhole(520.9, 521.0, 325.1, 249.7),
-    'freiburg3': Pinhole(535.4, 539.2, 320.1, 247.6),
-}
-TUM_DEFAULT = Pinhole(525.0, 525.0, 319.5, 239.5)
 
 
 @dataclass(frozen=True)
@@ -192,20 +184,24 @@ def _depth(folder: Path, options: ConvertOptions) -> Recording:
 
     def read(number: int) -> RecordedFrame:
         i = chosen[number]
-        cloud = back_project(
-            read_depth(images[i]),
-            camera,
-            DEPTH_UNITS_PER_M,
-            options.max_depth_m,
-            options.pixel_step,
-        )
+        cloud = _depth_cloud(images[i], DEPTH_UNITS_PER_M, camera, options)
         place = int(numbers[i][-1]) if ordered else i
         return RecordedFrame(_stamp_of(place, rate), CAMERA_FRAME, cloud, poses[i])
 
     return Recording(len(chosen), sum(poses[i] is not None for i in chosen), read)
 
 
-def _camera_of(folder: Path) -> Pinhole | None:
+def _depth_cloud(
+    path: Path, units_per_m: float, camera: Intrinsics, options: ConvertOptions
+) -> CloudData:
+    """Organised cloud of a depth image, NaN where there is no return."""
+    points = organised_points(
+        read_depth_m(path, units_per_m), camera, options.max_depth_m, options.pixel_step
+    )
+    return from_arrays(points.reshape(-1, 3), shape=points.shape[:2])
+
+
+def _camera_of(folder: Path) -> Intrinsics | None:
     for name in ('camera-intrinsics.txt', 'intrinsics.txt', 'camera_intrinsics.txt'):
         if (folder / name).exists():
             return read_intrinsics(folder / name)
@@ -234,20 +230,14 @@ def _tum(folder: Path, options: ConvertOptions) -> Recording:
     truth_file = options.poses or folder / 'groundtruth.txt'
     truth = trajectory_io.read_tum(truth_file) if truth_file.exists() or options.poses else None
     camera = _camera_of(folder) or next(
-        (c for name, c in TUM_CAMERAS.items() if name in folder.resolve().name), TUM_DEFAULT
+        (c for name, c in CAMERAS.items() if name in folder.resolve().name), USUAL_CAMERA
     )
     chosen = entries[:: options.stride]
     poses = [None if truth is None else pose_at(truth, stamp) for stamp, _ in chosen]
 
     def read(number: int) -> RecordedFrame:
         stamp, name = chosen[number]
-        cloud = back_project(
-            read_depth(folder / name),
-            camera,
-            TUM_UNITS_PER_M,
-            options.max_depth_m,
-            options.pixel_step,
-        )
+        cloud = _depth_cloud(folder / name, UNITS_PER_M, camera, options)
         return RecordedFrame(stamp, CAMERA_FRAME, cloud, poses[number])
 
     return Recording(len(chosen), sum(p is not None for p in poses), read)

@@ -121,7 +121,7 @@ def replay(job: Job, tick: Callable[[FrameLog | None], None] | None = None) -> R
     if recovered is not None:
         log.notes.append(f'the bag is cut off, {recovered} messages were recovered')
     if job.config.registrar == 'hybridreg' and not front_end.has_network:
-        log.notes.append('no network weights: the fallback kiss-icp makes every pose')
+        log.notes.append('no network weights: kiss-icp registers every scan')
     about = {'topic': topic, 'stride': job.stride, 'live': False, 'recovered': recovered}
     return finish(job, log, truth, album.views(), about)
 

@@ -76,7 +76,7 @@ class LossConfig:
     temperature: float = option(0.07, 'of the superpoint cross-entropy', low=0.005, high=1.0)
     fine_weight: float = option(1.0, 'weight of the point matching loss', low=0.0)
     descriptor_weight: float = option(
-        0.05, 'weight of the InfoNCE loss of fine points over the whole cloud', low=0.0
+        0.5, 'weight of the InfoNCE loss of fine points over the whole cloud', low=0.0
     )
     mask: str = option(
         'bce',

@@ -40,12 +40,18 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 RECORDED_VOXEL_M = 0.05
-CALIBRATED = ('log_inliers', 'overlap', 'residual', 'correction', 'fit', 'intrusion', 'lead')
-"""Features that the confidence is fitted to; the others get no weight."""
-GATE = 0.7
-"""Confidence from which odometry takes up the network's pose by default."""
-WRONG_SHARE = 0.02
-FOLDS = 8
+SIGNS = {
+    'matched': 1.0,
+    'agreement': 1.0,
+    'overlap': 1.0,
+    'residual': -1.0,
+    'fit': 1.0,
+    'intrusion': -1.0,
+    'lead': 1.0,
+}
+"""Features that the confidence is fitted to, and which way each must act; others weigh nothing."""
+GATE = 0.9
+"""Confidence from which a registration counts as sure."""
 
 
 def evaluate(
@@ -97,51 +103,27 @@ def evaluate_method(
 def calibrate(scores: Sequence[PairScore]) -> Calibration:
     """Confidence fitted to scores with features (from validation pairs, never from test data).
 
-    A logistic model of the features in `CALIBRATED` (few, for validation pairs are few), judged
-    by cross-validation: its log-odds are lowered until at most `WRONG_SHARE` of the held-out
-    results above `GATE` are wrong. The confidence is thus cautious rather than unbiased.
+    A logistic model of the features in `SIGNS` (few, for validation pairs are few). One that
+    would act the wrong way is left out, the most harmful first: with so few wrong results such a
+    weight is noise.
 
     Raises:
         ValueError: all scores are right, or all are wrong.
     """
     usable = [s for s in scores if len(s.features) and np.isfinite(s.features).all()]
-    columns = [feature_names().index(name) for name in CALIBRATED]
-    features = np.array([s.features for s in usable])[:, columns]
+    every = np.array([s.features for s in usable])
     right = np.array([s.right for s in usable])
-    fit = metric.fit_logistic(features, right, ridge=1.0)
+    names = list(SIGNS)
+    while True:
+        columns = [feature_names().index(name) for name in names]
+        fit = metric.fit_logistic(every[:, columns], right, ridge=1.0)
+        harm = -np.array([SIGNS[n] for n in names]) * fit.weights * every[:, columns].std(axis=0)
+        if len(names) == 1 or harm.max() <= 0.0:
+            break
+        names.pop(int(harm.argmax()))
     weights = np.zeros(len(feature_names()))
     weights[columns] = fit.weights
-    caution = _caution(_held_out_odds(features, right), right)
-    return Calibration(tuple(float(w) for w in weights), fit.bias - caution, True)
-
-
-def _held_out_odds(features: F64, right: NDArray[np.bool_]) -> F64:
-    """Log-odds of every result by models fitted without its fold."""
-    order = np.random.default_rng(0).permutation(len(right))
-    odds = np.full(len(right), -np.inf)
-    for fold in range(FOLDS):
-        held = order[fold::FOLDS]
-        kept = np.setdiff1d(order, held)
-        if right[kept].min() == right[kept].max():
-            continue
-        fit = metric.fit_logistic(features[kept], right[kept], ridge=1.0)
-        odds[held] = features[held] @ fit.weights + fit.bias
-    return odds
-
-
-def _caution(odds: F64, right: NDArray[np.bool_]) -> float:
-    """How far log-odds must fall for the results above the gate to be right."""
-    gate = float(np.log(GATE / (1.0 - GATE)))
-    order = np.argsort(-odds, kind='stable')
-    wrong = np.cumsum(~right[order])
-    allowed = wrong <= WRONG_SHARE * np.arange(1, len(order) + 1)
-    if not allowed.any():
-        return max(float(odds[order[0]]) - gate, 0.0) + 1.0
-    last = int(np.flatnonzero(allowed)[-1])
-    if last + 1 == len(order):
-        return 0.0
-    border = 0.5 * float(odds[order[last]] + odds[order[last + 1]])
-    return max(border - gate, 0.0)
+    return Calibration(tuple(float(w) for w in weights), float(fit.bias), True)
 
 
 def recorded_pairs(folder: str | Path) -> list[PointPair]:
@@ -160,7 +142,7 @@ def recorded_pairs(folder: str | Path) -> list[PointPair]:
             with np.load(folder / 'fragments.npz') as clouds:
                 points = {k: clouds[k] for k in clouds.files if k.startswith('points_')}
             return [
-                _static_pair(
+                static_pair(
                     points[f'points_{r["src"]}'],
                     points[f'points_{r["ref"]}'],
                     np.array(r['transform'], dtype=np.float64),
@@ -173,7 +155,7 @@ def recorded_pairs(folder: str | Path) -> list[PointPair]:
         for row in rows:
             with np.load(folder / f'{row["name"]}.npz') as pair:
                 pairs.append(
-                    _static_pair(
+                    static_pair(
                         pair['src'],
                         pair['ref'],
                         pair['transform'].astype(np.float64),
@@ -186,9 +168,15 @@ def recorded_pairs(folder: str | Path) -> list[PointPair]:
         raise FileFormatError(f'{folder} is not a folder of recorded pairs: {error}') from None
 
 
-def _static_pair(
-    source: NDArray[np.float32], target: NDArray[np.float32], T: F64, overlap: float, name: str
+def static_pair(
+    source: NDArray[np.float32],
+    target: NDArray[np.float32],
+    T: F64,
+    overlap: float,
+    name: str,
+    voxel_size_m: float = RECORDED_VOXEL_M,
 ) -> PointPair:
+    """A pair in which nothing moves: source (N, 3), target (M, 3), T_target_source (4, 4)."""
     n, m = len(source), len(target)
     return PointPair(
         source=np.ascontiguousarray(source, dtype=np.float32),
@@ -200,6 +188,6 @@ def _static_pair(
         target_instance=np.zeros(m, np.uint16),
         overlap=overlap,
         dynamic_share=0.0,
-        voxel_size_m=RECORDED_VOXEL_M,
+        voxel_size_m=voxel_size_m,
         name=name,
     )

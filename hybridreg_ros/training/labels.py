@@ -58,7 +58,6 @@ class PairLabels:
         pair_target: (P,) int64.
         fine: (P, K+1, K+1) bool, matches inside these patch pairs; last row and column: slack.
         anchors: (A, 2) int64, rows of truly matching fine points.
-        near: (A, A) bool, anchors too close to each other to be negatives.
     """
 
     overlap: F32
@@ -70,7 +69,6 @@ class PairLabels:
     pair_target: I64
     fine: Bools
     anchors: I64
-    near: Bools
 
 
 def static_points(fine: F32, raw: F32, raw_static: Bools, neighbours: int = 3) -> Bools:
@@ -123,7 +121,7 @@ def pair_labels(
     seen_s = np.asarray(matches.sum(axis=1)) > 0
     seen_t = np.asarray(matches.sum(axis=0)) > 0
     pair_s, pair_t = _draw_pairs(overlap, positive, max_pairs, rng)
-    anchors, near = _draw_anchors(matches, moved, 2.0 * radius, max_anchors, rng)
+    anchors = _draw_anchors(matches, max_anchors, rng)
     return PairLabels(
         overlap=overlap,
         source_trusted=_patch_mean(member_s, seen_s) * (static_s >= STATIC_SHARE),
@@ -134,7 +132,6 @@ def pair_labels(
         pair_target=pair_t,
         fine=fine_labels(matches, source.index[pair_s], target.index[pair_t]),
         anchors=anchors,
-        near=near,
     )
 
 
@@ -227,13 +224,8 @@ def _draw_pairs(
     return source.astype(np.int64), target.astype(np.int64)
 
 
-def _draw_anchors(
-    matches: csr_array, source_moved: F64, radius: float, limit: int, rng: np.random.Generator
-) -> tuple[I64, Bools]:
-    """Matched fine points (A, 2) and which of them (A, A) are too close to be told apart."""
+def _draw_anchors(matches: csr_array, limit: int, rng: np.random.Generator) -> I64:
+    """At most `limit` matched fine points, (A, 2)."""
     coo = matches.tocoo()
     chosen = rng.permutation(len(coo.row))[:limit]
-    anchors = np.stack([coo.row[chosen], coo.col[chosen]], axis=1).astype(np.int64)
-    p = source_moved[anchors[:, 0]]
-    near: Bools = ((p[:, None, :] - p[None, :, :]) ** 2).sum(axis=2) < radius**2
-    return anchors, near
+    return np.stack([coo.row[chosen], coo.col[chosen]], axis=1).astype(np.int64)

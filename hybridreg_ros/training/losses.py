@@ -104,26 +104,26 @@ def point_matching_loss(log_assignment: Tensor, labels: Tensor, valid: Tensor) -
 
 
 def descriptor_loss(
-    source_features: Tensor, target_features: Tensor, near: Tensor, temperature: float = 0.1
+    anchors: Tensor, others: Tensor, match: Tensor, near: Tensor, temperature: float = 0.07
 ) -> Tensor:
-    """InfoNCE of matched fine points against all fine points of the other cloud, both directions.
+    """InfoNCE of matched fine points against every fine point of the other cloud.
 
     Args:
-        source_features: (A, C) unit features; row i truly matches row i of `target_features`.
-        target_features: (A, C) unit features.
-        near: (A, A) bool, pairs too close to be called negatives (the diagonal is ignored).
+        anchors: (A, C) unit features of matched points of one cloud.
+        others: (F, C) unit features of all fine points of the other cloud.
+        match: (A,) int64 row of `others` that truly matches each anchor.
+        near: (A, F) bool, points too close to the match to be called negatives; the match itself
+            may be among them.
         temperature: of the softmax.
 
     Returns:
         Scalar; zero for no anchors.
     """
-    if len(source_features) == 0:
-        return source_features.sum() * 0.0
-    logits = source_features @ target_features.T / temperature
-    anchor = torch.arange(len(logits), device=logits.device)
-    ignore = near & (anchor[:, None] != anchor[None, :])
-    logits = logits.masked_fill(ignore, float('-inf'))
-    return 0.5 * (F.cross_entropy(logits, anchor) + F.cross_entropy(logits.T, anchor))
+    if len(anchors) == 0:
+        return anchors.sum() * 0.0
+    logits = anchors @ others.T / temperature
+    itself = F.one_hot(match, len(others)).bool()
+    return F.cross_entropy(logits.masked_fill(near & ~itself, float('-inf')), match)
 
 
 def mask_bce(logit: Tensor, trusted: Tensor) -> Tensor:

@@ -39,7 +39,9 @@ class PairScore:
         coarse_rmse_m: RMSE before the final refinement (the network's own pose).
         inlier_ratio: share of correspondences within 2 voxels (0.1 m indoors).
         coarse_precision: share of superpoint pairs that truly overlap.
-        mask_auc: of 1 - sigma2 against static and overlapping superpoints; NaN if undefined.
+        mask_auc: of the network's 1 - sigma2 against static and overlapping superpoints; NaN if
+            undefined.
+        point_mask_auc: the same of the result's 1 - uncertainty over source points.
         confidence: of the final result, [0, 1]; NaN if the method gives none.
         seconds: wall time of the registration.
         features: what the confidence was computed from.
@@ -57,6 +59,7 @@ class PairScore:
     inlier_ratio: float = math.nan
     coarse_precision: float = math.nan
     mask_auc: float = math.nan
+    point_mask_auc: float = math.nan
     confidence: float = math.nan
     seconds: float = math.nan
     features: tuple[float, ...] = ()
@@ -113,12 +116,21 @@ class EvalReport:
     def from_json(cls, text: str) -> EvalReport:
         """Inverse of `to_json`."""
         plain = json.loads(text)
-        scores = []
-        for row in plain['scores']:
-            values: dict[str, Any] = {k: math.nan if v is None else v for k, v in row.items()}
-            values['features'] = tuple(math.nan if v is None else v for v in row['features'])
-            scores.append(PairScore(**values))
-        return cls(plain['method'], tuple(scores), plain['about'])
+        scores = tuple(score_from_plain(row) for row in plain['scores'])
+        return cls(plain['method'], scores, plain['about'])
+
+
+def score_to_plain(score: PairScore) -> dict[str, Any]:
+    """Values for strict JSON (NaN becomes null)."""
+    plain: dict[str, Any] = _strict(dataclasses.asdict(score))
+    return plain
+
+
+def score_from_plain(row: dict[str, Any]) -> PairScore:
+    """Inverse of `score_to_plain`; an error that was infinite comes back as NaN: not right."""
+    values: dict[str, Any] = {k: math.nan if v is None else v for k, v in row.items()}
+    values['features'] = tuple(math.nan if v is None else v for v in row['features'])
+    return PairScore(**values)
 
 
 def summary(split: str, scores: Sequence[PairScore]) -> dict[str, Any]:
@@ -129,6 +141,7 @@ def summary(split: str, scores: Sequence[PairScore]) -> dict[str, Any]:
         'split': split,
         'pairs': len(scores),
         'RR': _mean([float(s.right) for s in scores]),
+        'RR_95': registration.wilson_interval(len(done), len(scores)),
         'RR_coarse': _mean([float(s.coarse_right) for s in scores]),
         'IR': _mean(ratios),
         'FMR': registration.feature_matching_recall(np.array(ratios)),
@@ -136,6 +149,7 @@ def summary(split: str, scores: Sequence[PairScore]) -> dict[str, Any]:
         'RTE_m': _median([s.rte_m for s in done]),
         'PIR': _mean(_known(s.coarse_precision for s in scores)),
         'mask_AUC': _mean(_known(s.mask_auc for s in scores)),
+        'point_mask_AUC': _mean(_known(s.point_mask_auc for s in scores)),
         'ms': 1000.0 * _median(_known(s.seconds for s in scores)),
     }
     sure = [s for s in scores if not math.isnan(s.confidence)]
@@ -176,7 +190,8 @@ _COLUMNS = (
     ('RRE_deg', 'RRE deg', 1.0, 2),
     ('RTE_m', 'RTE m', 1.0, 3),
     ('PIR', 'PIR %', 100.0, 1),
-    ('mask_AUC', 'mask AUC', 1.0, 3),
+    ('mask_AUC', 'network mask AUC', 1.0, 3),
+    ('point_mask_AUC', 'point mask AUC', 1.0, 3),
     ('ECE', 'ECE', 1.0, 3),
     ('ms', 'ms', 1.0, 0),
 )

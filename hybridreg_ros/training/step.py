@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from hybridreg_ros.training.samples import Sample
 
 STATIC_SHARE = 0.5
+NEAR = 2.0
+"""Match radii around a true match in which no negatives are drawn."""
 
 
 class LossTerms(NamedTuple):
@@ -54,7 +56,9 @@ def pair_losses(network: HybridRegNet, sample: Sample, config: LossConfig) -> Lo
         fine = losses.point_matching_loss(scores.log_assignment, as_tensor(labels.fine), valid)
     descriptor = zero
     if config.descriptor_weight > 0.0:
-        descriptor = fine_descriptor_loss(source, target, labels)
+        descriptor = fine_descriptor_loss(
+            source, target, labels, NEAR * config.match_radius_voxels
+        )
     mask = mask_loss(coarse_out, labels, config) if config.mask != 'none' else zero
     total = (
         coarse
@@ -87,12 +91,22 @@ def coarse_loss(output: SuperpointOutput, labels: PairLabels, config: LossConfig
     return total
 
 
-def fine_descriptor_loss(source: Encoding, target: Encoding, labels: PairLabels) -> Tensor:
-    """InfoNCE of the anchors."""
+def fine_descriptor_loss(
+    source: Encoding, target: Encoding, labels: PairLabels, near_voxels: float
+) -> Tensor:
+    """InfoNCE of the anchors against all fine points of the other cloud, mean of both ways.
+
+    Points within `near_voxels` of an anchor's match are no negatives.
+    """
     anchors = as_tensor(labels.anchors)
-    f = F.normalize(source.fine_features[anchors[:, 0]], dim=1)
-    g = F.normalize(target.fine_features[anchors[:, 1]], dim=1)
-    return losses.descriptor_loss(f, g, as_tensor(labels.near))
+    sides = (source, anchors[:, 0]), (target, anchors[:, 1])
+    unit = [F.normalize(side.fine_features, dim=1) for side, _ in sides]
+    terms = []
+    for i, j in ((0, 1), (1, 0)):
+        points, match = sides[j][0].pyramid.fine_points, sides[j][1]
+        near = torch.cdist(points[match], points) < near_voxels
+        terms.append(losses.descriptor_loss(unit[i][sides[i][1]], unit[j], match, near))
+    return torch.stack(terms).mean()
 
 
 def mask_loss(output: SuperpointOutput, labels: PairLabels, config: LossConfig) -> Tensor:

@@ -17,9 +17,9 @@ from scipy.spatial import cKDTree
 from hybridreg_ros.core import se3
 from hybridreg_ros.data.pair import Label
 from hybridreg_ros.metrics import registration
-from hybridreg_ros.model.refine import Surface
 from hybridreg_ros.model.register import EncodedCloud, HybridReg
 from hybridreg_ros.model.superpoints import select_pairs
+from hybridreg_ros.model.verify import view_of
 from hybridreg_ros.training.report import (
     INDOOR_THRESHOLD_M,
     INDOOR_VOXEL_M,
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from hybridreg_ros.model.config import ModelConfig
     from hybridreg_ros.model.network import HybridRegNet, SuperpointOutput
     from hybridreg_ros.model.register import RegistrationResult
+    from hybridreg_ros.model.views import View
     from hybridreg_ros.training.config import TrainConfig
 
 MATCH_VOXELS = 1.5
@@ -103,6 +104,18 @@ def threshold_m(voxel_size_m: float) -> float:
     return INDOOR_THRESHOLD_M if voxel_size_m < INDOOR_VOXEL_M else OUTDOOR_THRESHOLD_M
 
 
+def point_mask_auc(pair: PointPair, uncertainty: NDArray[np.float32], seed: int = 0) -> float:
+    """AUC of 1 - uncertainty (N,) against 'static and seen', over at most 4,000 source points."""
+    rows = np.random.default_rng(seed).permutation(len(pair.source))[: 2 * SCORED_POINTS]
+    static = pair.source_label[rows] == Label.STATIC
+    tree = cKDTree(pair.target[pair.target_label == Label.STATIC], balanced_tree=False)
+    distance, _ = tree.query(
+        se3.apply(pair.T_target_source, pair.source[rows]),
+        distance_upper_bound=MATCH_VOXELS * pair.voxel_size_m,
+    )
+    return registration.roc_auc(static & np.isfinite(distance), 1.0 - uncertainty[rows])
+
+
 def overlap_points(pair: PointPair, seed: int = 0) -> NDArray[np.float32]:
     """At most 2,000 static source points that have a static counterpart in the target, (K, 3)."""
     static = pair.source[pair.source_label == Label.STATIC]
@@ -120,17 +133,15 @@ def overlap_points(pair: PointPair, seed: int = 0) -> NDArray[np.float32]:
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """A sample and the surfaces of its clouds, built once for many validations."""
+    """A sample and the views of its clouds, built once for many validations."""
 
     sample: Sample
-    surfaces: tuple[Surface, Surface]
+    views: tuple[View, View]
 
     @classmethod
     def of(cls, sample: Sample) -> HeldOut:
-        """Prepare the surfaces of a sample."""
-        clouds = (sample.source, sample.target)
-        made = [Surface.build(c.levels[0].points.numpy()) for c in clouds]
-        return cls(sample, (made[0], made[1]))
+        """Prepare the views of a sample."""
+        return cls(sample, (view_of(sample.source), view_of(sample.target)))
 
 
 def pair_score(model: HybridReg, held: HeldOut, device: str = 'cpu') -> PairScore:
@@ -139,8 +150,8 @@ def pair_score(model: HybridReg, held: HeldOut, device: str = 'cpu') -> PairScor
     began = time.perf_counter()
     with torch.inference_mode():
         encoded = [
-            EncodedCloud(model.net.encode(to_device(pyramid, device)), surface, 0, 0.0)
-            for pyramid, surface in zip((sample.source, sample.target), held.surfaces, strict=True)
+            EncodedCloud(model.net.encode(to_device(pyramid, device)), view, 0, 0.0)
+            for pyramid, view in zip((sample.source, sample.target), held.views, strict=True)
         ]
     result = model.match(encoded[0], encoded[1])
     seconds = time.perf_counter() - began
@@ -179,6 +190,7 @@ def score_of(
             np.asarray(sample.labels.overlap), *chosen.index.cpu().numpy().T
         ),
         mask_auc=mask_auc(sample, sigma2),
+        point_mask_auc=point_mask_auc(pair, result.source_uncertainty),
         confidence=result.confidence,
         seconds=seconds,
         features=tuple(float(f) for f in result.features.vector()),

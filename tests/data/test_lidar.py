@@ -96,9 +96,7 @@ def test_movers_are_seen_where_they_are_at_the_time_of_their_column():
         return transform(np.eye(3), np.array([-10.0 + 20.0 * time_s, 0.0, 0.0]))
 
     scene = Scene(FLOOR, (RigidMover(target, sliding),))
-    scan = clean('wide64', 720).scan(
-        Caster(scene), 0.0, still, np.random.default_rng(0), slices=20
-    )
+    scan = clean('wide64', 720).scan(Caster(scene), 0.0, still, np.random.default_rng(0))
     hit = scan.instance == 1
     assert (scan.label[hit] == Label.MOVING_RIGID).all()
     assert hit.sum() > 100

@@ -10,6 +10,8 @@ import signal
 import subprocess
 import sys
 import time
+import tracemalloc
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +28,7 @@ from hybridreg_ros.data.splits_summary import read_summary
 if TYPE_CHECKING:
     from pathlib import Path
 
+TRUTH = None
 SPLIT = 'room-match-10-30'
 
 
@@ -37,7 +40,7 @@ def scenes(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     def few(split: str, seed: int, *, count: int = 4, still: bool = False) -> list[Sample]:
         made.append(seed)
         pairs = [tiny(10 * seed + k, 60) for k in range(seed % 3)]
-        return [Sample(p, 0.3 + 0.01 * seed, p.target if still else None) for p in pairs]
+        return [Sample(p, 0.3 + 0.01 * seed, TRUTH, p.target if still else None) for p in pairs]
 
     monkeypatch.setattr(splits_work, 'make_samples', few)
     return made
@@ -211,6 +214,33 @@ def test_growing_folders_for_training(tmp_path: Path, scenes: list[int]) -> None
     (tmp_path / '0000000.hrs').unlink()
     assert generate(SPLIT, more, 0, tmp_path) >= more
     assert (tmp_path / '0000000.hrs').exists(), 'a gap is filled'
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_ten_thousand_pairs_need_no_more_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Real scenes need the same each; here, what the filling of a split holds on to."""
+    one = tiny(3, 400)
+
+    def many(split: str, seed: int, **_: object) -> list[Sample]:
+        return [Sample(replace(one, name=f't-{seed}-{k}'), 0.5, TRUTH) for k in range(20)]
+
+    monkeypatch.setattr(splits_work, 'make_samples', many)
+    held: dict[int, int] = {}
+
+    def note(done: int, wanted: int) -> None:
+        held.setdefault(done // 1000, tracemalloc.get_traced_memory()[0])
+
+    tracemalloc.start()
+    generate_split(SPLIT, 10_000, 0, tmp_path, progress=note)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(open_split(tmp_path)) == 10_000
+    per_pair = (held[9] - held[1]) / 8000
+    assert per_pair < 1000, 'only the row of the statistics is kept of a pair'
+    assert peak - held[1] < 40e6
 
 
 def test_summaries_that_are_none(tmp_path: Path) -> None:

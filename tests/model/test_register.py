@@ -13,7 +13,11 @@ from hybridreg_ros import HybridReg
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.model.confidence import Calibration, ConfidenceFeatures
-from hybridreg_ros.model.refine import Surface, refine
+from hybridreg_ros.model.normals import surface_normals
+from hybridreg_ros.model.ops import CellList
+from hybridreg_ros.model.posterior import posterior_sigma2
+from hybridreg_ros.model.refine import refine
+from hybridreg_ros.model.views import View
 from hybridreg_ros.model.voxel_size import choose_voxel_size_m
 
 if TYPE_CHECKING:
@@ -126,37 +130,53 @@ def test_voxel_size_follows_the_sensor(
     assert low <= choose_voxel_size_m(room * scale, room * scale) <= high
 
 
+def _view(points: np.ndarray) -> View:
+    near = CellList.build(points, 3.0).search(points, 3.0, 12)
+    return View.build(points, surface_normals(points, near), np.zeros(3))
+
+
 def test_refinement_mends_a_small_error(room: np.ndarray) -> None:
-    surface = Surface.build(room / 0.05)
+    surface = _view(room / np.float32(0.05))
     wrong = se3.exp(np.array([1.0, -0.8, 0.5, 0.02, -0.03, 0.02]))
-    trusted = np.ones(len(room), dtype=bool)
-    refined = refine(surface, surface, wrong, trusted)
+    refined = refine(surface, surface, wrong)
     assert refined.accepted
     np.testing.assert_allclose(refined.V_target_source, np.eye(4), atol=0.05)
-    assert refined.overlap > 0.99
+    assert refined.overlap > 0.98  # the grid knows one point per cell, not always the nearest
     assert refined.correction > 0.5
 
 
 def test_refinement_keeps_the_pose_where_it_would_harm(
     room: np.ndarray, rng: np.random.Generator
 ) -> None:
-    surface = Surface.build(room / 0.05)
+    surface = _view(room / np.float32(0.05))
     far = se3.exp(np.array([500.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    refined = refine(surface, surface, far, np.ones(len(room), dtype=bool))
+    refined = refine(surface, surface, far)
     np.testing.assert_array_equal(refined.V_target_source, far)
     assert refined.overlap == 0.0
 
 
-def test_refinement_ignores_points_that_are_not_trusted(room: np.ndarray) -> None:
-    """Half of the source moved on its own: only masking it keeps the background aligned."""
+def test_refinement_ignores_what_moved(room: np.ndarray) -> None:
+    """A part of the source moved on its own by more than the last radius: the rest decides."""
     voxels = room / np.float32(0.05)
-    moving = voxels[:, 0] > 30.0
-    source = Surface.build(voxels + np.where(moving[:, None], np.float32([0, 1.2, 0]), 0))
-    target = Surface.build(voxels)
-    masked = refine(source, target, np.eye(4), ~moving)
-    np.testing.assert_allclose(masked.V_target_source[:3, 3], 0.0, atol=0.05)
-    unmasked = refine(source, target, np.eye(4), np.ones(len(room), dtype=bool))
-    assert np.abs(unmasked.V_target_source[:3, 3]).max() > 0.1
+    moving = (voxels[:, 0] > 30.0) & (voxels[:, 1] > 20.0)
+    assert 0.05 < moving.mean() < 0.4
+    source = _view(voxels + np.where(moving[:, None], np.float32([0, 4.0, 0]), np.float32(0)))
+    refined = refine(source, _view(voxels), se3.exp(np.array([0.5, 0.3, 0.2, 0.01, 0, 0.01])))
+    np.testing.assert_allclose(refined.V_target_source[:3, 3], 0.0, atol=0.1)
+
+
+def test_posterior_uncertainty_follows_the_pose(room: np.ndarray) -> None:
+    voxels = room / np.float32(0.05)
+    moving = voxels[:, 0] > 60.0
+    assert 0.05 < moving.mean() < 0.9
+    source = _view(voxels + np.where(moving[:, None], np.float32([0, 0, 30.0]), np.float32(0)))
+    prior = np.full(len(voxels), 0.5, np.float32)
+    sure = posterior_sigma2(prior, source, _view(voxels), np.eye(4), 1.0)
+    assert sure[~moving].mean() < 0.1
+    assert sure[moving].mean() > 0.8
+    np.testing.assert_allclose(
+        posterior_sigma2(prior, source, _view(voxels), np.eye(4), 0.0), prior
+    )
 
 
 def test_confidence_grows_with_the_evidence() -> None:

@@ -6,11 +6,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tiny_world import depth_rays, lidar_rays, scans, walk
+from tiny_world import depth_rays, lidar_rays, pose, scans, walk
 
 from hybridreg_ros.core import se3
+from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.frontend import HybridOdometry
+from hybridreg_ros.odometry.kiss import KissRegistration
 from hybridreg_ros.odometry.result import OdometryResult, Reason, Source
 
 
@@ -63,6 +65,43 @@ def test_covariance_is_small_symmetric_and_positive() -> None:
 def test_registrar_kiss_icp_is_named_as_the_reason() -> None:
     results = run(scans(walk(3), lidar_rays()), registrar='kiss-icp')
     assert [r.reason for r in results[1:]] == [Reason.REGISTRAR_KISS_ICP] * 2
+
+
+def test_kiss_icp_makes_every_pose_that_bears_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    align = KissRegistration.align
+
+    def counting(self: KissRegistration, points: np.ndarray, guess: np.ndarray) -> np.ndarray:
+        asked.append(len(points))
+        return align(self, points, guess)
+
+    monkeypatch.setattr(KissRegistration, 'align', counting)
+    odometry = HybridOdometry(OdometryConfig(registrar='kiss-icp'), model=None)
+    clouds = scans(walk(5), lidar_rays())
+    odometry.step(clouds[0])
+    for scan in clouds[1:4]:
+        asked.clear()
+        assert odometry.step(scan).source is Source.KISS_ICP
+        assert asked
+        assert min(asked) > 100
+
+    def refusing(self: KissRegistration, points: np.ndarray, guess: np.ndarray) -> np.ndarray:
+        raise RegistrationError('no')
+
+    monkeypatch.setattr(KissRegistration, 'align', refusing)
+    result = odometry.step(clouds[4])
+    assert result.reason is Reason.REFINEMENT_FAILED
+    assert result.confidence == 0.0
+
+
+@pytest.mark.parametrize('turns_deg', [(0.0, 18.0, -14.0, 20.0, 0.0, -20.0, 15.0)])
+def test_uneven_turns_between_scans_do_not_lose_it(turns_deg: tuple[float, ...]) -> None:
+    poses = [pose(-1.0 + 0.1 * k, -0.5, sum(turns_deg[: k + 1])) for k in range(len(turns_deg))]
+    results = run(scans(poses, lidar_rays(), period_s=0.5), registrar='kiss-icp')
+    assert {r.source for r in results} == {Source.KISS_ICP}
+    shift_m, turn_deg = errors(results, poses)
+    assert shift_m < 0.03
+    assert turn_deg < 0.5
 
 
 def test_reset_starts_a_new_odom_frame() -> None:

@@ -263,15 +263,26 @@ def test_live_recorder_joins_messages_of_any_order_and_thread(tmp_path: Path) ->
     }
 
 
-def test_kiss_icp_alone_moves_with_the_sensor(room_bag: Path) -> None:
+@pytest.mark.parametrize('name', ['kiss-icp', 'genz-icp', 'small-gicp'])
+def test_rival_alone_moves_with_the_sensor(room_bag: Path, name: str) -> None:
     from hybridreg_ros.replay import runner
-    from hybridreg_ros.replay.baseline import KissIcpAlone
+    from hybridreg_ros.replay.baseline import Alone
 
+    if name == 'genz-icp':
+        pytest.importorskip('genz_icp')
     with open_bag(room_bag) as bag:
-        log = runner.run(bag.frames(), KissIcpAlone())
+        log = runner.run(bag.frames(), Alone(name))
         truth = bag.ground_truth()
     assert truth is not None
     assert len(log.frames) == 12
     moved = se3.inverse(log.frames[0].pose) @ log.frames[-1].pose
     true_move = se3.inverse(truth.poses[0]) @ truth.poses[-1]
     assert np.linalg.norm(moved[:3, 3] - true_move[:3, 3]) < 0.1
+
+
+def test_unknown_rival_is_an_error() -> None:
+    from hybridreg_ros.core.errors import ConfigError
+    from hybridreg_ros.replay.baseline import Alone
+
+    with pytest.raises(ConfigError, match='rival: expected kiss-icp, genz-icp or small-gicp'):
+        Alone('magic')

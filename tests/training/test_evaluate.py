@@ -21,6 +21,7 @@ from hybridreg_ros.model.network import HybridRegNet
 from hybridreg_ros.model.register import HybridReg
 from hybridreg_ros.training.config import TrainConfig
 from hybridreg_ros.training.evaluate import (
+    GATE,
     calibrate,
     evaluate,
     evaluate_method,
@@ -132,20 +133,22 @@ def test_report_survives_json_and_makes_a_table():
 
 def test_calibration_separates_right_from_wrong():
     rng = np.random.default_rng(0)
-    fit = feature_names().index('fit')
+    fit, intrusion = (feature_names().index(name) for name in ('fit', 'intrusion'))
     scores = []
-    for i in range(80):
+    for i in range(160):
         right = i % 2 == 0
         features = rng.normal(0, 1, len(feature_names()))
-        features[fit] += 2.5 * right
+        features[fit] += 3.0 * right
+        features[intrusion] += 1.5 * right  # the wrong way round: must not count
         scores.append(score(rmse=0.05 if right else 1.0, features=tuple(features)))
     fitted = calibrate(scores)
     assert fitted.fitted
     assert np.argmax(np.abs(fitted.weights)) == fit
     assert fitted.weights[feature_names().index('trust')] == 0.0
+    assert fitted.weights[intrusion] == 0.0
     sure = [
         s for s in scores
-        if np.dot(fitted.weights, s.features) + fitted.bias > np.log(0.7 / 0.3)
+        if np.dot(fitted.weights, s.features) + fitted.bias > np.log(GATE / (1.0 - GATE))
     ]  # fmt: skip
     assert len(sure) > 10
     assert np.mean([s.right for s in sure]) > 0.95

@@ -113,17 +113,18 @@ def test_point_matching_loss_ignores_unlabelled_minus_infinity():
 def test_descriptor_loss_against_loops_and_empty():
     generator = torch.Generator().manual_seed(2)
     a = torch.nn.functional.normalize(torch.randn(5, 4, generator=generator), dim=1)
-    b = torch.nn.functional.normalize(torch.randn(5, 4, generator=generator), dim=1)
-    near = torch.eye(5, dtype=torch.bool)
-    near[0, 3] = near[3, 0] = True
+    b = torch.nn.functional.normalize(torch.randn(8, 4, generator=generator), dim=1)
+    match = torch.tensor([3, 0, 7, 7, 1])
+    near = torch.zeros(5, 8, dtype=torch.bool)
+    near[0, 3] = near[0, 4] = near[2, 6] = True
     total = 0.0
-    for x, y in ((a, b), (b, a)):
-        for i in range(5):
-            others = [j for j in range(5) if i == j or not near[i, j]]
-            z = sum(math.exp(float(x[i] @ y[j]) / 0.2) for j in others)
-            total -= math.log(math.exp(float(x[i] @ y[i]) / 0.2) / z) / 10
-    assert losses.descriptor_loss(a, b, near, 0.2).item() == pytest.approx(total, rel=1e-5)
-    assert losses.descriptor_loss(a[:0], b[:0], near[:0, :0]).item() == 0.0
+    for i in range(5):
+        m = int(match[i])
+        rivals = [j for j in range(8) if j == m or not near[i, j]]
+        z = sum(math.exp(float(a[i] @ b[j]) / 0.2) for j in rivals)
+        total -= math.log(math.exp(float(a[i] @ b[m]) / 0.2) / z) / 5
+    assert losses.descriptor_loss(a, b, match, near, 0.2).item() == pytest.approx(total, rel=1e-5)
+    assert losses.descriptor_loss(a[:0], b, match[:0], near[:0], 0.2).item() == 0.0
 
 
 def test_mask_losses_balance_the_classes():

@@ -1,0 +1,150 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""The benchmark suites: which sequences, strides and methods, by name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from hybridreg_ros.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+STRIDES = (1, 2, 5, 10)
+METHODS = ('ours', 'ours-no-mask', 'ours-no-network', 'kiss-icp', 'genz-icp', 'small-gicp')
+RIVALS = ('kiss-icp', 'genz-icp')
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """One benchmark sequence.
+
+    Attributes:
+        name: unique.
+        suite: rooms, streets, real, or dev (for fitting; never scored).
+        kind: depth or lidar; decides which steps are right.
+        frames: clouds at stride 1.
+        source: simulated, kitti, depth or ouster.
+        share: simulated: percent of moving points, none, 10-30 or 30-50.
+        seed: simulated: of everything random.
+        folder: real: folder of the recording in the data directory.
+        poses: real: its file of true poses.
+        period_s: real: seconds between scans (depth: between frame numbers).
+        moving: whether anything moves; None when nobody knows.
+    """
+
+    name: str
+    suite: str
+    kind: str
+    frames: int
+    source: str = 'simulated'
+    share: str = ''
+    seed: int = 0
+    folder: str = ''
+    poses: str = 'poses.txt'
+    period_s: float = 0.1
+    moving: bool | None = None
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Largest error of a right step, metres and degrees."""
+        return (0.05, 1.0) if self.kind == 'depth' else (0.2, 1.0)
+
+
+def _rooms() -> tuple[Sequence, ...]:
+    shares = ('none', '10-30', '30-50', 'none', '10-30', '30-50', 'none', '10-30', '30-50', 'none')
+    return tuple(
+        Sequence(
+            f'room-{k:02d}', 'rooms', 'depth', 200,
+            share=share, seed=5_551_000 + k, moving=share != 'none',
+        )
+        for k, share in enumerate(shares)
+    )  # fmt: skip
+
+
+def _streets() -> tuple[Sequence, ...]:
+    shares = ('none', '10-30', '30-50', '10-30', 'none', '10-30')
+    return tuple(
+        Sequence(
+            f'street-{k}', 'streets', 'lidar', 100,
+            share=share, seed=5_552_000 + k, moving=share != 'none',
+        )
+        for k, share in enumerate(shares)
+    )  # fmt: skip
+
+
+def _development() -> tuple[Sequence, ...]:
+    rooms = ((501, 'none'), (502, '30-50'), (505, '10-30'), (507, '30-50'))
+    streets = ((504, '10-30'), (506, 'none'))
+    return (
+        *(
+            Sequence(
+                f'dev-room-{seed}', 'dev', 'depth', 80,
+                share=share, seed=seed, moving=share != 'none',
+            )
+            for seed, share in rooms
+        ),
+        *(
+            Sequence(
+                f'dev-street-{seed}', 'dev', 'lidar', 40,
+                share=share, seed=seed, moving=share != 'none',
+            )
+            for seed, share in streets
+        ),
+    )  # fmt: skip
+
+
+_REAL = (
+    Sequence(
+        'lidar_balm_walk_a', 'real', 'lidar', 30, 'kitti',
+        folder='lidar_balm_walk_a', period_s=0.5, moving=False,
+    ),
+    Sequence(
+        'lidar_kitti_raw_22scans', 'real', 'lidar', 22, 'kitti',
+        folder='lidar_kitti_raw_22scans', poses='poses_reference_icp.txt',
+    ),
+    Sequence(
+        'lidar_kitti07_keyframes5', 'real', 'lidar', 5, 'kitti',
+        folder='lidar_kitti07_keyframes5', period_s=1.0,
+    ),
+    Sequence(
+        'lidar_ouster_os1_3scans', 'real', 'lidar', 3, 'ouster', folder='lidar_ouster_os1_3scans'
+    ),
+    Sequence(
+        'depth_7scenes', 'real', 'depth', 100, 'depth',
+        folder='depth_7scenes', period_s=1.0 / 30.0, moving=False,
+    ),
+)  # fmt: skip
+
+SEQUENCES = {s.name: s for s in (*_rooms(), *_streets(), *_REAL, *_development())}
+SUITES = ('rooms', 'streets', 'real', 'dev')
+
+
+def chosen(suite: str, names: Iterable[str] = (), frames: int | None = None) -> list[Sequence]:
+    """Sequences of a suite (or 'all', which leaves 'dev' out), or the named ones of it.
+
+    Args:
+        suite: one of SUITES, or 'all'.
+        names: only these; empty for all.
+        frames: at most so many frames of each; None for all.
+
+    Raises:
+        ConfigError: no such suite, or a sequence that is not in it.
+    """
+    if suite not in (*SUITES, 'all'):
+        raise ConfigError(f'--suite: expected all, {", ".join(SUITES)}, found {suite!r}')
+    found = {
+        s.name: s
+        for s in SEQUENCES.values()
+        if s.suite == suite or (suite == 'all' and s.suite != 'dev')
+    }
+    wanted = list(names) or list(found)
+    missing = [n for n in wanted if n not in found]
+    if missing:
+        raise ConfigError(
+            f'--sequences: {missing[0]!r} is not in suite {suite}, which has {", ".join(found)}'
+        )
+    some = [found[n] for n in wanted]
+    return some if frames is None else [replace(s, frames=min(s.frames, frames)) for s in some]

@@ -1,0 +1,42 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""The trained network with parts switched off or replaced, for the tables of the paper."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+from hybridreg_ros.core.errors import ConfigError
+from hybridreg_ros.model.register import HybridReg
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+RANSAC_SAMPLES = (250, 500, 1000, 2500, 5000)
+TOP_PAIRS = (32, 48, 64, 96)
+
+VARIANTS: dict[str, dict[str, Any]] = {
+    'hybridreg': {},
+    'no-mask': {'use_mask': False},
+    'lgr': {'estimator': 'lgr'},
+    'lgr-no-mask': {'estimator': 'lgr', 'use_mask': False},
+    **{f'ransac-{n}': {'estimator': 'ransac', 'ransac_samples': n} for n in RANSAC_SAMPLES},
+    **{f'lgr-top-{n}': {'estimator': 'lgr', 'top_pairs': n} for n in TOP_PAIRS},
+}
+"""What each variant changes in the `ModelConfig` of the weights."""
+
+
+def load_variant(name: str, weights: str | Path | None = None) -> HybridReg:
+    """The packaged weights, or those of a file, in one of the `VARIANTS`.
+
+    Raises:
+        ConfigError: no such variant.
+        WeightsError: missing, truncated, foreign or unfit weights.
+    """
+    if name not in VARIANTS:
+        raise ConfigError(f'method: expected one of {", ".join(VARIANTS)}, found {name}')
+    model = HybridReg.from_pretrained(weights)
+    model.config = dataclasses.replace(model.config, **VARIANTS[name])
+    model.net.config = model.config
+    return model

@@ -52,7 +52,6 @@ setup(
         'safetensors>=0.5',
         'scipy>=1.11',
         'kiss-icp>=1.3,<2',
-        'small_gicp>=1.0.1',
     ],
     extras_require={
         'replay': [
@@ -68,7 +67,12 @@ setup(
             'ros-jazzy-common-interfaces==5.3.6',
         ],
         'scale': ['dask>=2026.8', 'distributed>=2026.8'],
-        'bench': ['open3d-cpu==0.20.0', 'kiss-matcher==1.0.2', 'genz-icp==0.3.2'],
+        'bench': [
+            'open3d-cpu==0.20.0',
+            'kiss-matcher==1.0.2',
+            'genz-icp==0.3.2',
+            'small_gicp>=1.0.1',
+        ],
         'test': [
             'pytest>=8',
             'pytest-timeout',

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hybridreg_ros.model.grid import cell_point, moved
 from hybridreg_ros.model.ops import compiled
 
 if TYPE_CHECKING:
@@ -15,7 +16,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hybridreg_ros.model.views import Grid, View
+    from hybridreg_ros.model.grid import Grid, Space
+    from hybridreg_ros.model.views import View
 
     F32 = NDArray[np.float32]
     F64 = NDArray[np.float64]
@@ -28,17 +30,12 @@ _SMALL = 1e-3
 
 
 @compiled
-def _contacts(
-    T: F64, sample: F32, points: F32, grid: I32, low: F64, cell: float, r2: float
-) -> tuple[I32, F32]:
+def _contacts(T: F64, sample: F32, points: F32, space: Space, r2: float) -> tuple[I32, F32]:
     index = np.full(sample.shape[0], -1, np.int32)
     squared = np.full(sample.shape[0], r2, np.float32)
     for i in range(sample.shape[0]):
-        u, v, w = sample[i, 0], sample[i, 1], sample[i, 2]
-        x = T[0, 0] * u + T[0, 1] * v + T[0, 2] * w + T[0, 3]
-        y = T[1, 0] * u + T[1, 1] * v + T[1, 2] * w + T[1, 3]
-        z = T[2, 0] * u + T[2, 1] * v + T[2, 2] * w + T[2, 3]
-        j = _cell_point(x, y, z, grid, low, cell)
+        x, y, z = moved(T, sample[i, 0], sample[i, 1], sample[i, 2])
+        j = cell_point(x, y, z, space)
         if j >= 0:
             d2 = (points[j, 0] - x) ** 2 + (points[j, 1] - y) ** 2 + (points[j, 2] - z) ** 2
             if d2 < r2:
@@ -59,14 +56,13 @@ def contacts(T: F64, sample: F32, fixed: View, radius: float) -> tuple[I32, F32]
         (N,) int32 point of the fixed cloud, -1 for none, and (N,) float32 squared distance,
         radius^2 for none.
     """
-    space = fixed.grid.nearest, fixed.grid.low, fixed.grid.cell
-    found: tuple[I32, F32] = _contacts(T, sample, fixed.points, *space, radius**2)
+    found: tuple[I32, F32] = _contacts(T, sample, fixed.points, fixed.grid.space, radius**2)
     return found
 
 
 @compiled
 def _normal_equations(
-    T: F64, sample: F32, points: F32, normals: F32, grid: I32, low: F64, cell: float, r2: float
+    T: F64, sample: F32, points: F32, normals: F32, space: Space, r2: float
 ) -> tuple[F64, F64, float]:
     """6x6 matrix and right side of one step (rotation about the origin first)."""
     A = np.zeros((6, 6))
@@ -74,11 +70,8 @@ def _normal_equations(
     row = np.empty(6)
     hits = 0.0
     for i in range(sample.shape[0]):
-        u, v, w = sample[i, 0], sample[i, 1], sample[i, 2]
-        x = T[0, 0] * u + T[0, 1] * v + T[0, 2] * w + T[0, 3]
-        y = T[1, 0] * u + T[1, 1] * v + T[1, 2] * w + T[1, 3]
-        z = T[2, 0] * u + T[2, 1] * v + T[2, 2] * w + T[2, 3]
-        j = _cell_point(x, y, z, grid, low, cell)
+        x, y, z = moved(T, sample[i, 0], sample[i, 1], sample[i, 2])
+        j = cell_point(x, y, z, space)
         if j >= 0:
             gap = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
             normal = normals[j, 0], normals[j, 1], normals[j, 2]
@@ -88,7 +81,7 @@ def _normal_equations(
 
 @compiled
 def _reverse_equations(
-    T: F64, sample: F32, points: F32, normals: F32, grid: I32, low: F64, cell: float, r2: float
+    T: F64, sample: F32, points: F32, normals: F32, space: Space, r2: float
 ) -> tuple[F64, F64, float]:
     """The same for points of the target (`sample`) and the moving surface (`points`)."""
     A = np.zeros((6, 6))
@@ -97,18 +90,15 @@ def _reverse_equations(
     hits = 0.0
     for i in range(sample.shape[0]):
         u, v, w = sample[i, 0] - T[0, 3], sample[i, 1] - T[1, 3], sample[i, 2] - T[2, 3]
-        j = _cell_point(
+        j = cell_point(
             T[0, 0] * u + T[1, 0] * v + T[2, 0] * w,
             T[0, 1] * u + T[1, 1] * v + T[2, 1] * w,
             T[0, 2] * u + T[1, 2] * v + T[2, 2] * w,
-            grid, low, cell,
-        )  # fmt: skip
+            space,
+        )
         if j < 0:
             continue
-        u, v, w = points[j, 0], points[j, 1], points[j, 2]
-        x = T[0, 0] * u + T[0, 1] * v + T[0, 2] * w + T[0, 3]
-        y = T[1, 0] * u + T[1, 1] * v + T[1, 2] * w + T[1, 3]
-        z = T[2, 0] * u + T[2, 1] * v + T[2, 2] * w + T[2, 3]
+        x, y, z = moved(T, points[j, 0], points[j, 1], points[j, 2])
         u, v, w = normals[j, 0], normals[j, 1], normals[j, 2]
         normal = (
             T[0, 0] * u + T[0, 1] * v + T[0, 2] * w,
@@ -118,18 +108,6 @@ def _reverse_equations(
         gap = sample[i, 0] - x, sample[i, 1] - y, sample[i, 2] - z
         hits += _add(A, b, row, (x, y, z), gap, normal, r2)
     return A, b, hits
-
-
-@compiled
-def _cell_point(x: float, y: float, z: float, grid: I32, low: F64, cell: float) -> int:
-    """The point that the grid knows for a place, -1 for none."""
-    p = int(np.floor((x - low[0]) / cell))
-    q = int(np.floor((y - low[1]) / cell))
-    s = int(np.floor((z - low[2]) / cell))
-    if not (0 <= p < grid.shape[0] and 0 <= q < grid.shape[1] and 0 <= s < grid.shape[2]):
-        return -1
-    found: int = grid[p, q, s] - 1
-    return found
 
 
 @compiled
@@ -186,16 +164,13 @@ def _align(
     sample: F32,
     points: F32,
     normals: F32,
-    space: tuple[I32, F64, float],
+    space: Space,
     radius: float,
     rounds: int,
 ) -> F64:
     """Some Gauss-Newton rounds from one pose; `space` is a grid, its corner and its cell."""
-    grid, low, cell = space
     for _ in range(rounds):
-        A, b, hits = _normal_equations(
-            T, sample, points, normals, grid, low, cell, radius * radius
-        )
+        A, b, hits = _normal_equations(T, sample, points, normals, space, radius * radius)
         if hits < _MIN_HITS:
             break
         T, done = _solved(T, A, b, hits)
@@ -218,13 +193,13 @@ def aligned_both_ways(
         stages: name of the views' grid, radius beyond which points are ignored, most rounds.
     """
     for name, radius, rounds in stages:
-        there, back = (vars(getattr(view, name)).values() for view in (target, source))
+        there, back = (getattr(view, name).space for view in (target, source))
         for _ in range(rounds):
             A, b, hits = _normal_equations(
-                T, source.sample, target.points, target.normals, *there, radius * radius
+                T, source.sample, target.points, target.normals, there, radius * radius
             )
             C, d, more = _reverse_equations(
-                T, target.sample, source.points, source.normals, *back, radius * radius
+                T, target.sample, source.points, source.normals, back, radius * radius
             )
             if hits + more < _MIN_HITS:
                 break
@@ -251,7 +226,7 @@ def polished(T: F64, source: View, target: View, stages: Sequence[tuple[Grid, fl
                 source.sample,
                 target.points,
                 target.normals,
-                (grid.nearest, grid.low, grid.cell),
+                grid.space,
                 radius,
                 rounds,
             )

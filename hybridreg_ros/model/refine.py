@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -62,7 +61,7 @@ def refine(source: View, target: View, V_target_source: F64) -> Refinement:
         target: fixed cloud, voxels.
         V_target_source: (4, 4) start, voxels.
     """
-    moving, fixed = _with_points(source, _POINTS), _with_points(target, _POINTS)
+    moving, fixed = source.resampled(_POINTS), target.resampled(_POINTS)
     V = se3.orthonormalise(aligned_both_ways(V_target_source, moving, fixed, _STAGES))
     before, after = _contact(moving, target, V_target_source), _contact(moving, target, V)
     centre = moving.sample.mean(axis=0, dtype=np.float64)
@@ -85,12 +84,6 @@ def refine(source: View, target: View, V_target_source: F64) -> Refinement:
         bool(accepted),
         kept.count,
     )
-
-
-def _with_points(view: View, most: int) -> View:
-    """A view whose sample has up to `most` points, evenly spread."""
-    rows = np.unique(np.linspace(0, len(view.points) - 1, most).astype(np.int64))
-    return dataclasses.replace(view, sample=np.ascontiguousarray(view.points[rows]))
 
 
 @dataclass(frozen=True)

@@ -232,7 +232,9 @@ class HybridReg:
         chosen = time.perf_counter()
         refined = refine(*views, estimate.V_target_source)
         features = features_of(found, estimate, refined, verified)
-        result = self._result(source, target, found, refined, features)
+        result = self._result(
+            source, target, found, refined, features, int(estimate.inliers.sum())
+        )
         end = time.perf_counter()
         timings = {
             'network': middle - start,
@@ -253,6 +255,7 @@ class HybridReg:
         found: MatchOutput,
         refined: Refinement,
         features: ConfidenceFeatures,
+        inliers: int,
     ) -> RegistrationResult:
         """Everything that users get, without timings."""
         a, b = source.encoding.pyramid, target.encoding.pyramid
@@ -269,7 +272,7 @@ class HybridReg:
             values_of_inputs(b, sigma2[1]),
             Correspondences(found.source_points, found.target_points, found.weights),
             found.T_target_source,
-            int(np.expm1(features.log_inliers) + 0.5),
+            inliers,
             a.voxel_size_m,
             features,
         )

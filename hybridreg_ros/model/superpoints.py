@@ -62,7 +62,6 @@ def select_pairs(
     source_sigma2: Tensor,
     target_sigma2: Tensor,
     config: ModelConfig,
-    count: int | None = None,
 ) -> SuperpointPairs:
     """The best pairs.
 
@@ -71,13 +70,12 @@ def select_pairs(
         y: (T, C) of the target.
         source_sigma2: (S,) uncertainty.
         target_sigma2: (T,).
-        config: normalisation and kind of mask.
-        count: number of pairs; None takes `config.top_pairs`.
+        config: normalisation, kind of mask, and number of pairs.
     """
     scores = gaussian_correlation(x, y, config.dual_normalisation)
     if config.use_mask:
         scores = scores * pair_weights(source_sigma2, target_sigma2, config.mask_combination)
-    count = min(config.top_pairs if count is None else count, scores.numel())
+    count = min(config.top_pairs, scores.numel())
     best, flat = torch.topk(scores.flatten(), count)
     index = torch.stack([flat // scores.shape[1], flat % scores.shape[1]], dim=1)
     return SuperpointPairs(index, best)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hybridreg_ros.model.grid import Grid, cell_point, moved
 from hybridreg_ros.model.ops import compiled
 
 if TYPE_CHECKING:
@@ -22,48 +23,9 @@ if TYPE_CHECKING:
 
 _CELL_VOXELS = 1.0
 _WIDE_CELL_VOXELS = 2.5
-_HALF_EXTENT_VOXELS = 250.0
-_MOST_CELLS = 24_000_000
 _FACE_BINS = 45
 SAMPLE = 640
 """Points of a cloud that are tested against the other."""
-
-
-@compiled
-def _nearest_grid(points: F32, low: F64, shape: I64, cell: float) -> I32:
-    """Per cell, 1 + the point nearest to its centre among those in the 27 cells around, or 0."""
-    grid = np.zeros((shape[0], shape[1], shape[2]), np.int32)
-    at = np.empty(3, np.int64)
-    for i in range(points.shape[0]):
-        inside = True
-        for k in range(3):
-            at[k] = int(np.floor((points[i, k] - low[k]) / cell))
-            inside &= 1 <= at[k] < shape[k] - 1
-        if not inside:
-            continue
-        for x in range(at[0] - 1, at[0] + 2):
-            for y in range(at[1] - 1, at[1] + 2):
-                for z in range(at[2] - 1, at[2] + 2):
-                    other = grid[x, y, z] - 1
-                    if other < 0:
-                        grid[x, y, z] = i + 1
-                        continue
-                    cx = low[0] + (x + 0.5) * cell
-                    cy = low[1] + (y + 0.5) * cell
-                    cz = low[2] + (z + 0.5) * cell
-                    new = (
-                        (points[i, 0] - cx) ** 2
-                        + (points[i, 1] - cy) ** 2
-                        + (points[i, 2] - cz) ** 2
-                    )
-                    old = (
-                        (points[other, 0] - cx) ** 2
-                        + (points[other, 1] - cy) ** 2
-                        + (points[other, 2] - cz) ** 2
-                    )
-                    if new < old:
-                        grid[x, y, z] = i + 1
-    return grid
 
 
 @compiled
@@ -102,38 +64,6 @@ def _range_image(points: F32, sensor: F64, bins: int) -> tuple[F32, F32]:
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
-    """Nearest point of a cloud per cell, for look-ups that need no search.
-
-    Attributes:
-        nearest: (X, Y, Z) int32, 1 + index of the point, 0 where there is none around.
-        low: (3,) float64 corner, voxels.
-        cell: side of a cell, voxels.
-    """
-
-    nearest: I32
-    low: F64
-    cell: float
-
-    @classmethod
-    def build(cls, points: F32, cell: float) -> Grid:
-        """Sort points (N, 3) in; what is far from their median is left out.
-
-        The reach around the median is 250 voxels, and less where that would be over 24 million
-        cells: a cloud that fills all of space must not fill the memory.
-        """
-        centre, half = np.median(points, axis=0).astype(np.float64), _HALF_EXTENT_VOXELS
-        while True:
-            low = np.maximum(points.min(axis=0) - 2.0 * cell, centre - half)
-            high = np.minimum(points.max(axis=0) + 3.0 * cell, centre + half)
-            shape = np.ceil((high - low) / cell).astype(np.int64)
-            if shape.prod() <= _MOST_CELLS:
-                break
-            half *= 0.9
-        return cls(_nearest_grid(points, low, shape, cell), low, cell)
-
-
-@dataclass(frozen=True, eq=False)
 class View:
     """A cloud prepared for judging poses.
 
@@ -169,10 +99,17 @@ class View:
             sensor: (3,) where the sensor was, voxels.
             sample: number of points to test, evenly spread over the order of `points`.
         """
-        rows = np.unique(np.linspace(0, len(points) - 1, sample).astype(np.int64))
+        rows = _evenly_spread(len(points), sample)
         grids = Grid.build(points, _CELL_VOXELS), Grid.build(points, _WIDE_CELL_VOXELS)
         image, near = _range_image(points, sensor, _FACE_BINS)
         return cls(points, normals, points[rows], normals[rows], *grids, sensor, image, near)
+
+    def resampled(self, most: int) -> View:
+        """The same view with up to `most` points to test, evenly spread over all."""
+        rows = _evenly_spread(len(self.points), most)
+        return dataclasses.replace(
+            self, sample=self.points[rows], sample_normals=self.normals[rows]
+        )
 
     def thinned(self, every: int) -> View:
         """The same view with one in `every` of its sampled points."""
@@ -181,6 +118,11 @@ class View:
             sample=np.ascontiguousarray(self.sample[::every]),
             sample_normals=np.ascontiguousarray(self.sample_normals[::every]),
         )
+
+
+def _evenly_spread(count: int, most: int) -> I64:
+    """At most `most` of the numbers 0 to count - 1, ascending."""
+    return np.unique(np.linspace(0, count - 1, most).astype(np.int64))
 
 
 @compiled
@@ -197,16 +139,10 @@ def _fit(
 
     (1 - (distance / radius)^2) cos^2 of the angle between the normals, 0 beyond the radius.
     """
-    grid, low, cell = space
     total = 0.0
     for i in range(sample.shape[0]):
-        x, y, z = _moved(T, sample[i, 0], sample[i, 1], sample[i, 2])
-        a = int(np.floor((x - low[0]) / cell))
-        b = int(np.floor((y - low[1]) / cell))
-        c = int(np.floor((z - low[2]) / cell))
-        if not (0 <= a < grid.shape[0] and 0 <= b < grid.shape[1] and 0 <= c < grid.shape[2]):
-            continue
-        j = grid[a, b, c] - 1
+        x, y, z = moved(T, sample[i, 0], sample[i, 1], sample[i, 2])
+        j = cell_point(x, y, z, space)
         if j < 0:
             continue
         d2 = (points[j, 0] - x) ** 2 + (points[j, 1] - y) ** 2 + (points[j, 2] - z) ** 2
@@ -223,23 +159,13 @@ def _fit(
 
 
 @compiled
-def _moved(T: F64, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """A point under a transform (4, 4)."""
-    return (
-        T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3],
-        T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3],
-        T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3],
-    )
-
-
-@compiled
 def _intrusion(
     sample: F32, T: F64, sensor: F64, image: F32, near: F32, margin: float, share: float
 ) -> float:
     """Share of the sample that would stand in space through which the other sensor looked."""
     count = 0
     for i in range(sample.shape[0]):
-        x, y, z = _moved(T, sample[i, 0], sample[i, 1], sample[i, 2])
+        x, y, z = moved(T, sample[i, 0], sample[i, 1], sample[i, 2])
         x, y, z = x - sensor[0], y - sensor[1], z - sensor[2]
         face, row, column = _direction_bin(x, y, z, image.shape[1])
         if np.isinf(image[face, row, column]):
@@ -275,14 +201,13 @@ def fits(T: F64, source: View, target: View, radius: float) -> F64:
 
 def _one_way(T: F64, moving: View, fixed: View, radius: float) -> float:
     """Fit of the moving view's sample on the fixed view's surface."""
-    space = fixed.grid.nearest, fixed.grid.low, fixed.grid.cell
     fit: float = _fit(
         T,
         moving.sample,
         moving.sample_normals,
         fixed.points,
         fixed.normals,
-        space,
+        fixed.grid.space,
         radius * radius,
     )
     return fit

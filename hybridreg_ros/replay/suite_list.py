@@ -53,47 +53,35 @@ class Sequence:
         return (0.05, 1.0) if self.kind == 'depth' else (0.2, 1.0)
 
 
+def _simulated(name: str, suite: str, frames: int, share: str, seed: int) -> Sequence:
+    """A simulated sequence: of a room, or of a street where the name says so."""
+    kind = 'lidar' if 'street' in name else 'depth'
+    return Sequence(name, suite, kind, frames, share=share, seed=seed, moving=share != 'none')
+
+
 def _rooms() -> tuple[Sequence, ...]:
     shares = ('none', '10-30', '30-50', 'none', '10-30', '30-50', 'none', '10-30', '30-50', 'none')
     return tuple(
-        Sequence(
-            f'room-{k:02d}', 'rooms', 'depth', 200,
-            share=share, seed=5_551_000 + k, moving=share != 'none',
-        )
+        _simulated(f'room-{k:02d}', 'rooms', 200, share, 5_551_000 + k)
         for k, share in enumerate(shares)
-    )  # fmt: skip
+    )
 
 
 def _streets() -> tuple[Sequence, ...]:
     shares = ('none', '10-30', '30-50', '10-30', 'none', '10-30')
     return tuple(
-        Sequence(
-            f'street-{k}', 'streets', 'lidar', 100,
-            share=share, seed=5_552_000 + k, moving=share != 'none',
-        )
+        _simulated(f'street-{k}', 'streets', 100, share, 5_552_000 + k)
         for k, share in enumerate(shares)
-    )  # fmt: skip
+    )
 
 
 def _development() -> tuple[Sequence, ...]:
     rooms = ((501, 'none'), (502, '30-50'), (505, '10-30'), (507, '30-50'))
     streets = ((504, '10-30'), (506, 'none'))
     return (
-        *(
-            Sequence(
-                f'dev-room-{seed}', 'dev', 'depth', 80,
-                share=share, seed=seed, moving=share != 'none',
-            )
-            for seed, share in rooms
-        ),
-        *(
-            Sequence(
-                f'dev-street-{seed}', 'dev', 'lidar', 40,
-                share=share, seed=seed, moving=share != 'none',
-            )
-            for seed, share in streets
-        ),
-    )  # fmt: skip
+        *(_simulated(f'dev-room-{seed}', 'dev', 80, share, seed) for seed, share in rooms),
+        *(_simulated(f'dev-street-{seed}', 'dev', 40, share, seed) for seed, share in streets),
+    )
 
 
 _REAL = (

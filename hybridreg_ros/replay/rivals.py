@@ -83,6 +83,9 @@ class GicpToKeyframe:
         max_range_m: farther points are left out.
         min_range_m: nearer points are left out.
         keyframe_share: fewer inliers than this share make the scan the next keyframe.
+
+    Raises:
+        DependencyError: small_gicp is not installed.
     """
 
     def __init__(
@@ -92,6 +95,12 @@ class GicpToKeyframe:
         min_range_m: float,
         keyframe_share: float = 0.7,
     ) -> None:
+        try:
+            import small_gicp  # noqa: F401
+        except ImportError:
+            raise DependencyError(
+                "small_gicp is not installed: pip install 'hybridreg_ros[bench]'"
+            ) from None
         self._voxel = voxel_size_m
         self._low, self._high = min_range_m, max_range_m
         self._share = keyframe_share

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
@@ -13,11 +14,17 @@ import pytest
 
 from hybridreg_ros.cli.main import main
 from hybridreg_ros.core import se3
-from hybridreg_ros.core.errors import ConfigError, FileFormatError, HybridRegError
+from hybridreg_ros.core.errors import (
+    ConfigError,
+    DependencyError,
+    FileFormatError,
+    HybridRegError,
+)
 from hybridreg_ros.core.scan import Scan
 from hybridreg_ros.odometry import calibration
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.replay import suite_data, suite_fit, suite_plots, suite_run, suite_table
+from hybridreg_ros.replay.rivals import GenzIcp, GicpToKeyframe
 from hybridreg_ros.replay.suite_data import SuiteFrame
 from hybridreg_ros.replay.suite_list import METHODS, SEQUENCES, STRIDES, chosen
 
@@ -260,3 +267,13 @@ def test_every_method_has_a_front_end() -> None:
     for method in METHODS:
         if method not in ('genz-icp',):
             assert suite_run.front_end(method, OdometryConfig(), None) is not None
+
+
+@pytest.mark.parametrize(
+    ('rival', 'module'), [(GenzIcp, 'genz_icp'), (GicpToKeyframe, 'small_gicp')]
+)
+def test_a_missing_rival_names_the_extra(rival, module, monkeypatch) -> None:
+    for name in [m for m in sys.modules if m.split('.')[0] == module] + [module]:
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(DependencyError, match=r"pip install 'hybridreg_ros\[bench\]'"):
+        rival(0.1, 10.0, 0.1)

@@ -67,7 +67,7 @@ def collect(
     files = [f for path in inputs for f in _files(Path(path))]
     return Provenance(
         git_hash=git_hash(),
-        command=' '.join(sys.argv),
+        command=' '.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         python=platform.python_version(),
         machine=f'{platform.machine()} {platform.system()}',
         versions={name: version(name) for name in PACKAGES},

@@ -72,15 +72,18 @@ class Boxes:
     def __init__(self) -> None:
         self._low: list[F64] = []
         self._high: list[F64] = []
+        self._corners: tuple[F64, F64] | None = None
 
     def add(self, meshes: Sequence[Mesh]) -> None:
         """Remember the bounds of meshes (world frame)."""
+        self._corners = None
         for mesh in meshes:
             self._low.append(mesh.vertices.min(0).astype(np.float64))
             self._high.append(mesh.vertices.max(0).astype(np.float64))
 
     def add_ball(self, centre: F64, radius_m: float) -> None:
         """Remember a ball."""
+        self._corners = None
         self._low.append(centre - radius_m)
         self._high.append(centre + radius_m)
 
@@ -92,8 +95,11 @@ class Boxes:
         """True when a ball touches no bounds."""
         if not self._low:
             return True
-        nearest = np.clip(centre, np.array(self._low), np.array(self._high))
-        return bool((np.linalg.norm(nearest - centre, axis=1) > radius_m).all())
+        if self._corners is None:
+            self._corners = np.array(self._low), np.array(self._high)
+        low, high = self._corners
+        apart = np.minimum(np.maximum(centre, low), high) - centre
+        return bool((np.linalg.norm(apart, axis=1) > radius_m).all())
 
 
 def mid_air_spot(

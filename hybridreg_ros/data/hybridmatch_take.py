@@ -29,6 +29,8 @@ VOXEL_SIZE_M = 0.05
 _MIN_POINTS = 2000
 _MAX_POINTS = 15000
 _MIN_STATIC_SHARED = 300
+_TURNS_DEG = (10.0, 20.0, 35.0)
+_MARGIN = 0.015
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,9 @@ class Cell:
     Attributes:
         overlap: lowest and highest overlap of the static background.
         dynamic: lowest and highest share of moving points; ignored for frozen pairs.
+        crowd: lowest and highest share of points on whatever could move, whether or not it does;
+            None asks for nothing. It is the same for all levels of a split, so that they show
+            the same kind of scenes and views and differ in what moves alone.
         frozen: movers stand still between the clouds and count as background.
         fused: highest number of images fused into one cloud (more than 1 only when frozen).
         fusing: share of the clouds that are fused from several images.
@@ -45,9 +50,15 @@ class Cell:
 
     overlap: tuple[float, float]
     dynamic: tuple[float, float] = (0.0, 0.0)
+    crowd: tuple[float, float] | None = None
     frozen: bool = False
     fused: int = 2
     fusing: float = 0.0
+
+    @property
+    def part(self) -> bool:
+        """Whether only a part of what could move does."""
+        return not self.frozen and self.crowd is not None and self.dynamic[1] <= self.crowd[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,19 +153,27 @@ def choose_views(
     Pairs that repeat a source view, or a pair the other way round, come last.
     """
     low, high = cell.overlap
-    fits = (view.overlap > low) & (view.overlap < high)
+    fits = (view.overlap > low + _MARGIN) & (view.overlap < high - _MARGIN)
     useful = view.useful > MIN_USEFUL
     fits &= useful[:, None] & useful[None, :]
     np.fill_diagonal(fits, False)
-    if not cell.frozen:
-        share = 0.5 * (view.dynamic[1][:, None] + view.dynamic[0][None, :])
-        fits &= (share >= cell.dynamic[0]) & (share <= cell.dynamic[1])
+    # What the few rays of a survey show is a little off: keep away from the limits.
+    limits = [(view.dynamic, cell.dynamic)] if not cell.frozen else []
+    limits += [(view.crowd, cell.crowd)] if cell.crowd is not None else []
+    for seen, (least, most) in limits:
+        share = 0.5 * (seen[1][:, None] + seen[0][None, :])
+        fits &= (share >= least + _MARGIN) & (share <= most - _MARGIN)
     i, j = np.nonzero(fits)
     if len(i) == 0:
         return []
-    # Even over the overlap: rare overlaps are as likely as frequent ones.
-    bin_of = np.minimum((view.overlap[i, j] * 10).astype(int), 9)
-    weight = 1.0 / np.bincount(bin_of, minlength=10)[bin_of]
+    # Even over the overlap, and there over the turn, with fewer of the smallest turns: rare views
+    # are as likely as frequent ones.
+    overlap_bin = np.minimum((view.overlap[i, j] * 10).astype(int), 9)
+    both = overlap_bin * (len(_TURNS_DEG) + 1) + np.digitize(view.turn_deg[i, j], _TURNS_DEG)
+    of, bin_of, number = np.unique(both, return_inverse=True, return_counts=True)
+    turns = np.bincount(of // (len(_TURNS_DEG) + 1), minlength=10)
+    weight = 1.0 / (number[bin_of] * turns[overlap_bin])
+    weight[view.turn_deg[i, j] < _TURNS_DEG[0]] *= 0.5
     # Exponential keys: a weighted order whose beginning does not depend on `count`.
     rows = np.argsort(rng.exponential(size=len(i)) / weight, kind='stable')
     fresh: list[tuple[int, int]] = []
@@ -198,8 +217,7 @@ def _points(
     """Measured points, true points, labels and instances of an image, base frame."""
     removed = np.append(world.gone, False)[image.face]
     kept = np.isfinite(image.depth) & ~removed
-    measured = world.camera.points(image.depth)[kept]
-    true = world.camera.points(image.clean)[kept]
+    measured, true = world.camera.points_of(kept, image.depth, image.clean)
     return (
         apply(T_base_view, measured).astype(np.float32),
         apply(T_base_view, true).astype(np.float32),

@@ -41,6 +41,7 @@ class LidarScan:
             there is no return.
         label: (H, W) uint8 of `Label`.
         instance: (H, W) uint16, 0 = background.
+        mover: (H, W) bool what could move, also where it stands.
         face: (H, W) int32 static triangle, -1 at movers and misses.
         T_start_column: (W, 4, 4) pose of the sensor at each column in its frame at the start.
     """
@@ -50,6 +51,7 @@ class LidarScan:
     true: F32
     label: NDArray[np.uint8]
     instance: NDArray[np.uint16]
+    mover: NDArray[np.bool_]
     face: NDArray[np.int32]
     T_start_column: F64
 
@@ -134,6 +136,7 @@ class SpinningLidar:
         lost = self._lost(rng, distance, normal, d, o, face, instance, loss)
         distance = np.where(lost, np.float32(np.nan), distance)
         instance = np.where(lost, 0, instance).astype(np.uint16)
+        label = caster.labels(instance)
         T_start = np.einsum('ij,wjk->wik', se3.inverse(T_world[0]), T_world)
         true = np.einsum(
             'wij,hwj->hwi', T_start[:, :3, :3], rays * distance[..., None]
@@ -141,7 +144,8 @@ class SpinningLidar:
         measured = self._measured(rng, distance)
         return LidarScan(
             rays * measured[..., None], times, true.astype(np.float32),
-            caster.labels(instance), instance, np.where(lost, -1, face), T_start,
+            label, np.where(label > 0, instance, np.uint16(0)), instance > 0,
+            np.where(lost, -1, face), T_start,
         )  # fmt: skip
 
     def _range_sigma_m(self, range_m: F32) -> F32:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from time import thread_time
 from typing import TYPE_CHECKING, Any
@@ -11,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hybridreg_ros.core.errors import DependencyError
-from hybridreg_ros.data.scene import Hits, merge
+from hybridreg_ros.data.scene import Hits, Scene, Standing, merge
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
-    from hybridreg_ros.data.scene import Mesh, Scene
+    from hybridreg_ros.data.scene import Mesh
 
     F32 = NDArray[np.float32]
 
@@ -70,10 +71,14 @@ class _Triangles:
             raise DependencyError(
                 f'ray casting needs embreex ({error}): pip install "hybridreg_ros[data]"'
             ) from None
-        corners = np.ascontiguousarray(mesh.vertices[mesh.faces], dtype=np.float32)
         start = thread_time()
         self._scene: Any = EmbreeScene()
-        TriangleMesh(self._scene, corners)
+        # Given as an index, since embreex copies number by number: half as many as corners.
+        TriangleMesh(
+            self._scene,
+            np.ascontiguousarray(mesh.vertices, np.float32),
+            np.ascontiguousarray(mesh.faces, np.int32),
+        )
         # Embree commits at the first query: pay for it here, not in the first image.
         self._scene.run(np.zeros((1, 3), np.float32), np.eye(1, 3, dtype=np.float32))
         CLOCK.seconds += thread_time() - start
@@ -95,6 +100,25 @@ class Caster:
         self._labels = np.array([0, *(int(m.label) for m in scene.movers)], np.uint8)
         self._moving: dict[float, Posed] = {}
 
+    def halted(self, moves: NDArray[np.bool_], times_s: ArrayLike) -> Caster:
+        """The same scene in which only some movers (K,) move and the others stand.
+
+        Args:
+            moves: which move.
+            times_s: when the pose of each (K,) was as it now stays; one time for all will do.
+        """
+        twin = copy(self)
+        times = np.broadcast_to(np.asarray(times_s, np.float64), moves.shape).tolist()
+        movers = zip(self.scene.movers, moves, times, strict=True)
+        twin.scene = Scene(
+            self.scene.static, tuple(m if go else Standing(m, t) for m, go, t in movers)
+        )
+        twin._labels = np.where(np.append(True, moves), self._labels, np.uint8(0))
+        # At a time that is common to all, nothing is elsewhere than in this scene.
+        same = times[0] if len(set(times)) == 1 else None
+        twin._moving = {t: posed for t, posed in self._moving.items() if t == same}
+        return twin
+
     def cast(self, time_s: float, origins: F32, directions: F32) -> Hits:
         """Nearest hit of every ray.
 
@@ -115,26 +139,25 @@ class Caster:
         directions = np.ascontiguousarray(directions, dtype=np.float32)
         n = len(directions)
         origins = np.ascontiguousarray(np.broadcast_to(origins, (n, 3)), dtype=np.float32)
-        distance = np.full(n, np.inf, np.float32)
-        normal = np.zeros((n, 3), np.float32)
         face = np.full(n, -1, np.int32)
         instance = np.zeros(n, np.uint16)
-        limit = np.full(n, _FAR_M, np.float32)
+        normal = np.zeros((n, 3), np.float32)
+        reach = np.full(n, _FAR_M, np.float32)
         if self._static is not None:
-            found = self._static.run(origins, directions, limit)
-            hit = found['primID'] >= 0
-            distance[hit] = found['tfar'][hit]
-            normal[hit] = found['Ng'][hit]
-            face[hit] = found['primID'][hit]
-            limit = np.where(hit, distance, _FAR_M)
+            found = self._static.run(origins, directions, reach)
+            face, normal = found['primID'], found['Ng']
+            reach = np.where(face >= 0, found['tfar'], _FAR_M)
         if movers and self.scene.movers:
             posed = self._posed_movers(time_s)
-            found = posed.triangles.run(origins, directions, limit)
-            hit = found['primID'] >= 0
-            distance[hit] = found['tfar'][hit]
-            normal[hit] = found['Ng'][hit]
-            face[hit] = -1
+            found = posed.triangles.run(origins, directions, reach)
+            rows = np.flatnonzero(found['primID'] >= 0)
+            reach[rows] = found['tfar'][rows]
+            normal[rows] = found['Ng'][rows]
+            face[rows] = -1
             instance = posed.owner[found['primID']]
+        miss = reach >= _FAR_M
+        distance = np.where(miss, np.float32(np.inf), reach)
+        normal[miss] = 0.0
         return Trace(distance, instance, _facing(normal, directions), face)
 
     def _posed_movers(self, time_s: float) -> Posed:
@@ -178,6 +201,6 @@ def _facing(normal: F32, directions: F32) -> F32:
     """Unit normals turned against the rays; zeros stay zero."""
     dot = np.einsum('ij,ij->i', normal, directions)
     norm = np.sqrt(np.einsum('ij,ij->i', normal, normal))
-    scale = np.where(dot > 0.0, -1.0, 1.0) / np.maximum(norm, 1e-20)
-    facing: F32 = (normal * scale[:, None]).astype(np.float32)
+    scale = np.copysign(np.float32(1.0), -dot) / np.maximum(norm, np.float32(1e-20))
+    facing: F32 = normal * scale[:, None]
     return facing

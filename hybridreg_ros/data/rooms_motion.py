@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     F64 = NDArray[np.float64]
 
-_REACH_M = 3.0
-
 
 @dataclass(frozen=True, eq=False)
 class Stage:
@@ -66,7 +64,7 @@ class Path:
 
 
 def set_stage(rng: np.random.Generator, room: Room, *, people: int, animals: int = 0,
-              flying: int = 0, shifted: int = 0) -> Stage:  # fmt: skip
+              flying: int = 0, shifted: int = 0, reach_m: float = 3.0) -> Stage:  # fmt: skip
     """Let things happen in a room.
 
     Args:
@@ -76,8 +74,9 @@ def set_stage(rng: np.random.Generator, room: Room, *, people: int, animals: int
         animals: number of animals.
         flying: number of rigid things that move around the key figure.
         shifted: number of pieces of furniture or clutter that are shifted slightly.
+        reach_m: how far from the key figure the others and the flying things are.
     """
-    spots = _spots(rng, room, people + animals)
+    spots = _spots(rng, room, people + animals, reach_m)
     movers: list[Mover] = []
     for k, spot in enumerate(spots):
         movers.append(_figure(rng, spot, animal=k >= people))
@@ -87,7 +86,7 @@ def set_stage(rng: np.random.Generator, room: Room, *, people: int, animals: int
     chosen = nearest[: 2 * shifted]
     chosen = [chosen[k] for k in rng.permutation(len(chosen))[:shifted]]
     movers += [_shift(rng, m) for m in chosen]
-    movers += _flying(rng, room, centre, flying)
+    movers += _flying(rng, room, centre, flying, reach_m)
     ground = background(room.parts, [m for m in room.movable if m not in chosen])
     key = np.array([*centre, rng.uniform(0.7, 1.3)])
     return Stage(room, ground, Scene(ground.mesh, tuple(movers)), key)
@@ -99,7 +98,7 @@ def _middle(room: Room) -> F64:
     return middle
 
 
-def _spots(rng: np.random.Generator, room: Room, count: int) -> list[F64]:
+def _spots(rng: np.random.Generator, room: Room, count: int, reach_m: float) -> list[F64]:
     """Free places (2,) near each other, at least 0.5 m apart."""
     free = room.floor.clear_spots(0.3)
     if len(free) == 0:
@@ -110,7 +109,7 @@ def _spots(rng: np.random.Generator, room: Room, count: int) -> list[F64]:
             break
         chosen.append(free[rng.integers(len(free))])
         away = np.linalg.norm(free - chosen[-1], axis=1)
-        near = np.linalg.norm(free - chosen[0], axis=1) < _REACH_M
+        near = np.linalg.norm(free - chosen[0], axis=1) < reach_m
         free = free[(away > rng.uniform(0.7, 1.1)) & near]
     return chosen
 
@@ -138,14 +137,16 @@ def _shift(rng: np.random.Generator, thing: Movable) -> bodies.RigidMover:
     return bodies.RigidMover(thing.mesh, Path(thing.at, thing.yaw_rad, keys), 'shifted')
 
 
-def _flying(rng: np.random.Generator, room: Room, centre: F64, count: int) -> list[Mover]:
-    """Rigid things within 3 m of a centre, 0.1 to 2.5 m high, each on its own path."""
+def _flying(
+    rng: np.random.Generator, room: Room, centre: F64, count: int, reach_m: float
+) -> list[Mover]:
+    """Rigid things within some metres of a centre, 0.1 to 2.5 m high, each on its own path."""
     movers: list[Mover] = []
     top = min(2.5, room.plan.height_m - 0.2)
     for _ in range(count):
         size = float(np.exp(rng.uniform(np.log(0.15), np.log(1.0))))
         spot = mid_air_spot(
-            rng, room.floor, room.boxes, 0.5 * size + 0.1, (centre, _REACH_M), (0.1, top)
+            rng, room.floor, room.boxes, 0.5 * size + 0.1, (centre, reach_m), (0.1, top)
         )
         if spot is None:
             continue

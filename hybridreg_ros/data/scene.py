@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from hybridreg_ros.data.pair import Label
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
-
-    from hybridreg_ros.data.pair import Label
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +56,25 @@ class Mover(Protocol):
         Topology (faces, vertex order) must not depend on the time, so that vertex displacement
         between two times is well defined.
         """
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """A mover that stands as at one time for ever; it belongs to the background.
+
+    Attributes:
+        mover: what stands.
+        since_s: the time whose pose it keeps, seconds.
+        label: STATIC.
+    """
+
+    mover: Mover
+    since_s: float
+    label: Label = Label.STATIC
+
+    def mesh_at(self, time_s: float) -> Mesh:
+        """The same triangles at every time."""
+        return self.mover.mesh_at(self.since_s)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hybridreg_ros.data.geometry import cross
-
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -122,10 +120,18 @@ class DepthCamera:
         return np.stack([x, y, np.ones_like(x)], -1)
 
     @cached_property
-    def _warp(self) -> F64:
+    def _unit(self) -> tuple[F32, F32]:
+        """Unit ray (H*W, 3) through each pixel, and its length (H*W,) at depth 1."""
+        rays = self.rays.reshape(-1, 3)
+        length = np.linalg.norm(rays, axis=1)
+        return (rays / length[:, None]).astype(np.float32), length.astype(np.float32)
+
+    @cached_property
+    def _warp(self) -> F32:
         """Relative depth error (H, W) of the device."""
         rng = np.random.default_rng([self.noise.seed, 77])
-        return self.noise.warp * _smooth_field(rng, (self.height, self.width), (4, 5))
+        field = _smooth_field(rng, (self.height, self.width), (4, 5))
+        return (self.noise.warp * field).astype(np.float32)
 
     def render(
         self,
@@ -146,12 +152,10 @@ class DepthCamera:
             loss: (F,) share of rays lost per static triangle, or None.
         """
         shape = (self.height, self.width)
-        rays = self.rays.reshape(-1, 3)
-        length = np.linalg.norm(rays, axis=1)
-        unit = rays / length[:, None]
-        directions = (unit @ T_world_camera[:3, :3].T).astype(np.float32)
+        unit, length = self._unit
+        directions = unit @ T_world_camera[:3, :3].T.astype(np.float32)
         trace = caster.trace(time_s, T_world_camera[:3, 3].astype(np.float32), directions)
-        clean = (trace.distance / length).astype(np.float32)
+        clean = trace.distance / length
         incidence = np.abs(np.einsum('ij,ij->i', trace.normal, directions))
         lost = np.zeros(len(clean), np.bool_)
         if loss is not None:
@@ -161,17 +165,24 @@ class DepthCamera:
             clean.reshape(shape), incidence.reshape(shape), lost.reshape(shape), rng
         )
         instance = trace.instance[source]
+        label = caster.labels(instance)
         return DepthImage(
             depth,
             clean.reshape(shape),
-            caster.labels(instance).reshape(shape),
-            instance.reshape(shape),
+            label.reshape(shape),
+            np.where(label > 0, instance, np.uint16(0)).reshape(shape),
             trace.face[source].reshape(shape),
         )
 
     def points(self, depth: F32) -> F32:
         """Points (H, W, 3) float32 of a depth image (H, W), optical frame; NaN stays NaN."""
         return (self.rays * depth[..., None]).astype(np.float32)
+
+    def points_of(self, kept: NDArray[np.bool_], *depths: F32) -> tuple[F32, ...]:
+        """Points (N, 3) float32 of the kept pixels (H, W) of each of some depth images (H, W)."""
+        rows = np.flatnonzero(kept)
+        rays = self.rays.reshape(-1, 3)[rows]
+        return tuple((rays * depth.reshape(-1)[rows, None]).astype(np.float32) for depth in depths)
 
     def _measure(
         self, clean: F32, incidence: F32, lost: NDArray[np.bool_], rng: np.random.Generator
@@ -185,14 +196,14 @@ class DepthCamera:
         if n.ragged > 0.0:
             source = _ragged(source, n.ragged, rng)
             z = z.reshape(-1)[source]
-        chance = rng.random(z.shape)
+        chance = rng.random(z.shape, np.float32)
         if n.flying > 0.0:
-            mix = rng.random(z.shape)
+            mix = rng.random(z.shape, np.float32)
             fly = edge & (chance < n.flying) & (far < 50.0)
             z = np.where(fly, near + mix * (far - near), z)
         bad = (edge & (chance > 1.0 - n.edge_loss)) | lost
         if n.grazing > 0.0:
-            bad |= incidence < n.grazing * rng.random(z.shape)
+            bad |= incidence < n.grazing * rng.random(z.shape, np.float32)
         if n.patchy > 0.0:
             shape = (z.shape[0] // 12 + 2, z.shape[1] // 12 + 2)
             patch = _smooth_field(rng, z.shape, shape)
@@ -231,21 +242,6 @@ def random_camera(rng: np.random.Generator) -> DepthCamera:
         min_depth_m=float(rng.uniform(0.2, 0.7)), max_depth_m=float(rng.uniform(3.5, 8.0)),
         noise=noise,
     )  # fmt: skip
-
-
-def look_at(eye: F64, target: F64, roll_rad: float = 0.0) -> F64:
-    """Pose T_world_camera (4, 4) of an optical frame at `eye` that looks at `target`, z up."""
-    z = (target - eye) / max(float(np.linalg.norm(target - eye)), 1e-9)
-    side = cross(z, [0.0, 0.0, 1.0])
-    if np.linalg.norm(side) < 1e-6:
-        side = np.array([1.0, 0.0, 0.0])
-    x = side / np.linalg.norm(side)
-    y = cross(z, x)
-    c, s = np.cos(roll_rad), np.sin(roll_rad)
-    T = np.eye(4)
-    T[:3, :3] = np.stack([c * x + s * y, c * y - s * x, z], axis=1)
-    T[:3, 3] = eye
-    return T
 
 
 def _range3(z: F32) -> tuple[F32, F32]:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,6 +40,12 @@ def box(size: ArrayLike, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Mesh:
 def grid(points: F64, *, wrap_u: bool = False, wrap_v: bool = False) -> Mesh:
     """Triangles over a grid of points (U, V, 3); a wrapped side joins its ends."""
     nu, nv = points.shape[:2]
+    return Mesh(points.reshape(-1, 3).astype(np.float32), _grid_faces(nu, nv, wrap_u, wrap_v))
+
+
+@lru_cache(maxsize=1024)
+def _grid_faces(nu: int, nv: int, wrap_u: bool, wrap_v: bool) -> NDArray[np.int32]:
+    """Triangles (F, 3) of a grid; shared by all grids of that size, so never written to."""
     u = np.arange(nu if wrap_u else nu - 1)
     v = np.arange(nv if wrap_v else nv - 1)
     a = (u[:, None] * nv + v[None, :]).ravel()
@@ -46,22 +53,31 @@ def grid(points: F64, *, wrap_u: bool = False, wrap_v: bool = False) -> Mesh:
     c = (((u + 1) % nu)[:, None] * nv + ((v + 1) % nv)[None, :]).ravel()
     d = (u[:, None] * nv + ((v + 1) % nv)[None, :]).ravel()
     faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32)
-    return Mesh(points.reshape(-1, 3).astype(np.float32), faces)
+    faces.setflags(write=False)
+    return faces
 
 
 def rings(loops: F64, *, capped: bool = True) -> Mesh:
     """Skin over closed loops (U, V, 3); caps are fans about the mean of the end loops."""
-    skin = grid(loops, wrap_v=True)
     if not capped:
-        return skin
-    nu, nv = loops.shape[:2]
-    ends = np.stack([loops[0].mean(0), loops[-1].mean(0)]).astype(np.float32)
+        return grid(loops, wrap_v=True)
+    vertices = np.empty((loops.shape[0] * loops.shape[1] + 2, 3), np.float32)
+    vertices[:-2] = loops.reshape(-1, 3)
+    vertices[-2], vertices[-1] = loops[0].mean(0), loops[-1].mean(0)
+    return Mesh(vertices, _ring_faces(*loops.shape[:2]))
+
+
+@lru_cache(maxsize=1024)
+def _ring_faces(nu: int, nv: int) -> NDArray[np.int32]:
+    """Triangles (F, 3) of capped rings; shared, so never written to."""
     i = np.arange(nv)
     j = (i + 1) % nv
     low = np.stack([np.full(nv, nu * nv), i, j], 1)
     high = np.stack([np.full(nv, nu * nv + 1), (nu - 1) * nv + j, (nu - 1) * nv + i], 1)
-    faces = np.concatenate([skin.faces, low, high]).astype(np.int32)
-    return Mesh(np.concatenate([skin.vertices, ends]), faces)
+    skin = _grid_faces(nu, nv, False, True)
+    faces = np.concatenate([skin, low, high]).astype(np.int32)
+    faces.setflags(write=False)
+    return faces
 
 
 def lathe(profile: ArrayLike, segments: int = 14) -> Mesh:

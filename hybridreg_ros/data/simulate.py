@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.core.errors import ConfigError
+from hybridreg_ros.data.geometry import look_at
 from hybridreg_ros.data.raycast import Caster
 from hybridreg_ros.data.rooms import make_room
 from hybridreg_ros.data.rooms_motion import set_stage
-from hybridreg_ros.data.sensors import DepthCamera, DepthNoise, look_at
+from hybridreg_ros.data.sensors import DepthCamera, DepthNoise
 from hybridreg_ros.data.simulate_path import at_speed, choose_gaze, walk, walkable
 
 if TYPE_CHECKING:

@@ -13,6 +13,7 @@ from hybridreg_ros.core.se3 import apply, inverse
 from hybridreg_ros.data.clouds_overlap import near_cells
 from hybridreg_ros.data.geometry import voxel_thin
 from hybridreg_ros.data.hybridmatch_take import Cell, Sample
+from hybridreg_ros.data.hybridmatch_world import displacement_m
 from hybridreg_ros.data.lidar import SpinningLidar, random_lidar
 from hybridreg_ros.data.pair import PointPair
 from hybridreg_ros.data.raycast import Caster
@@ -22,16 +23,19 @@ from hybridreg_ros.data.truth import Truth
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from hybridreg_ros.data.scene import Scene
+
     F32 = NDArray[np.float32]
     F64 = NDArray[np.float64]
 
 VOXEL_SIZE_M = 0.3
 _SEEN_M = 0.3
-_MIN_POINTS = 900
+_MIN_POINTS = 1500
 _MAX_POINTS = 15000
 _MIN_SHARED = 250
 _RAYS, _FEWEST_COLUMNS = 80_000, 720
 _DESKEW_ERROR = 0.03
+_SOME_STAND = 0.3
 _CROPS_M = (80.0, 60.0, 45.0, 34.0, 26.0, 20.0, 15.0, 12.0)
 
 
@@ -44,6 +48,7 @@ class _View:
         true: (N, 3) float32 without noise.
         label: (N,) uint8.
         instance: (N,) uint16.
+        crowd: (N,) bool what could move, whether or not it does.
         plane: (N,) number of the large flat part, 0 = none.
         sigma_m: (N,) float32 standard deviation of the error of each point.
         T_world_sensor: (4, 4) at the stamp.
@@ -54,6 +59,7 @@ class _View:
     true: F32
     label: NDArray[np.uint8]
     instance: NDArray[np.uint16]
+    crowd: NDArray[np.bool_]
     plane: NDArray[np.int32]
     sigma_m: F32
     T_world_sensor: F64
@@ -62,8 +68,8 @@ class _View:
     def rows(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> _View:
         """The view of some points."""
         return _View(self.points[keep], self.true[keep], self.label[keep], self.instance[keep],
-                     self.plane[keep], self.sigma_m[keep], self.T_world_sensor,
-                     self.time_s)  # fmt: skip
+                     self.crowd[keep], self.plane[keep], self.sigma_m[keep],
+                     self.T_world_sensor, self.time_s)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,20 +121,22 @@ def street_cell(
         name: begin of the pairs' names.
     """
     rng = np.random.default_rng([seed, 3])
-    wanted = cell.dynamic if not cell.frozen else (0.1, 0.3)
+    wanted = cell.crowd or (cell.dynamic if not cell.frozen else (0.1, 0.3))
     low_overlap = cell.overlap[1] <= 0.5
     world = make_street(rng, None, (min(wanted[0], 0.9), min(wanted[1], 1.0)), travel_m=45.0)
-    caster = Caster(world.scene)
     lidar = _affordable(random_lidar(rng))
     samples: list[Sample] = []
     speed = world.path.ride.speed_mps
-    target = _take(rng, world, caster, lidar, float(rng.uniform(0.0, 15.0)) / speed, None)
+    first_s = float(rng.uniform(0.0, 15.0)) / speed
+    # Seen from far apart: what stands is spread over the way between both places.
+    until_s = first_s + (25.0 / speed if low_overlap else 0.0)
+    caster = _with_some_moving(rng, Caster(world.scene), cell, (first_s, until_s))
+    target = _take(rng, world, caster, lidar, first_s, None)
     for k in range(count):
         own = np.random.default_rng([seed, 4, k])
         baseline = float(own.uniform(5.0, 25.0) if low_overlap else own.uniform(0.5, 12.0))
         time_s = target.time_s + max(baseline / speed, float(own.uniform(0.25, 0.6)))
-        frozen = target.time_s if cell.frozen else None
-        source = _take(own, world, caster, lidar, time_s, frozen, shift=True)
+        source = _take(own, world, caster, lidar, time_s, None, shift=True)
         made = _fit(own, source, target, cell)
         if made is None:
             continue
@@ -139,13 +147,33 @@ def street_cell(
                 _take(own, world, caster, lidar, target.time_s, time_s, pose=target)
             ).points  # fmt: skip
         pair = replace(pair, name=f'{name}-{seed:07d}-{k}', seed=seed)
-        still_s = time_s if frozen is None else frozen
         truth = Truth(
-            world.scene.movers, (still_s, target.time_s), source.T_world_sensor, sigma, seen
+            caster.scene.movers, (time_s, target.time_s), source.T_world_sensor, sigma, seen
         )
-        moved_m = _displacement(world, pair, target.time_s, time_s, cell)
+        moved_m = _displacement(caster.scene, pair, target.time_s, time_s)
         samples.append(Sample(pair, moved_m, truth, twin))
     return samples
+
+
+def _with_some_moving(
+    rng: np.random.Generator, caster: Caster, cell: Cell, times_s: tuple[float, float]
+) -> Caster:
+    """The scene in which as much moves as a cell asks for.
+
+    The rest stands, each thing as at a random one of some times.
+    """
+    chance = 1.0
+    if cell.frozen:
+        chance = 0.0
+    elif cell.part and cell.crowd is not None:
+        chance = float(rng.uniform(*cell.dynamic)) / float(np.mean(cell.crowd))
+    elif cell.crowd is None and rng.random() < _SOME_STAND:
+        chance = float(rng.uniform(0.3, 0.9))
+    moves = rng.random(len(caster.scene.movers)) < chance
+    if moves.all():
+        return caster
+    since = rng.uniform(*times_s, len(moves)) if times_s[0] < times_s[1] else times_s[0]
+    return caster.halted(moves, since)
 
 
 def _affordable(lidar: SpinningLidar) -> SpinningLidar:
@@ -188,7 +216,8 @@ def _take(
     label, instance = scan.label.reshape(-1)[rows], scan.instance.reshape(-1)[rows]
     skew = np.linalg.norm((best - raw).reshape(-1, 3)[rows], axis=1)
     sigma = np.hypot(lidar.sigma_m(np.linalg.norm(points[rows], axis=1)), _DESKEW_ERROR * skew)
-    return _View(points[rows], scan.true.reshape(-1, 3)[rows], label, instance,
+    crowd = scan.mover.reshape(-1)[rows]
+    return _View(points[rows], scan.true.reshape(-1, 3)[rows], label, instance, crowd,
                  plane.astype(np.int32), sigma, pose_at(time_s), time_s)  # fmt: skip
 
 
@@ -203,7 +232,7 @@ def _fit(
     """
     T = inverse(target.T_world_sensor) @ source.T_world_sensor
     planes = np.unique(np.concatenate([source.plane, target.plane]))
-    ranges = rng.permutation(_CROPS_M) if cell.dynamic[0] < 0.25 else np.array(_CROPS_M)[::-1]
+    ranges = rng.permutation(_CROPS_M)
     thin = float(rng.uniform(0.12, 0.16))
     for far in ranges:
         for whole in (True, False):
@@ -224,13 +253,12 @@ def _measure(
     """The pair of two cropped views and which source points are seen; None if it suits not."""
     if min(len(source.points), len(target.points)) < _MIN_POINTS:
         return None
-    blank = np.zeros_like
-    s_label = blank(source.label) if cell.frozen else source.label
-    t_label = blank(target.label) if cell.frozen else target.label
-    s_instance = blank(source.instance) if cell.frozen else source.instance
-    t_instance = blank(target.instance) if cell.frozen else target.instance
-    share = float((s_label > 0).sum() + (t_label > 0).sum()) / (len(s_label) + len(t_label))
+    s_label, t_label = source.label, target.label
+    share = float(np.concatenate([s_label, t_label]).astype(np.bool_).mean())
     if not cell.frozen and not cell.dynamic[0] <= share <= cell.dynamic[1]:
+        return None
+    crowd = float(np.concatenate([source.crowd, target.crowd]).mean())
+    if cell.crowd is not None and not cell.crowd[0] <= crowd <= cell.crowd[1]:
         return None
     mine = apply(T, source.true[s_label == 0].astype(np.float64)).astype(np.float64)
     seen = near_cells(mine, target.true[t_label == 0].astype(np.float64), _SEEN_M)
@@ -239,18 +267,15 @@ def _measure(
         return None
     both = np.zeros(len(s_label), np.bool_)
     both[s_label == 0] = seen
-    pair = PointPair(source.points, target.points, T, s_label, t_label, s_instance, t_instance,
-                     overlap, share, VOXEL_SIZE_M)  # fmt: skip
+    pair = PointPair(source.points, target.points, T, s_label, t_label, source.instance,
+                     target.instance, overlap, share, VOXEL_SIZE_M)  # fmt: skip
     return pair, both
 
 
-def _displacement(
-    world: StreetWorld, pair: PointPair, first_s: float, second_s: float, cell: Cell
-) -> float:
+def _displacement(scene: Scene, pair: PointPair, first_s: float, second_s: float) -> float:
     """Mean displacement of the vertices of the mover that shows most points, metres."""
     seen = np.concatenate([pair.source_instance, pair.target_instance])
-    if cell.frozen or not seen.any():
+    if not seen.any():
         return 0.0
-    key = world.scene.movers[int(np.bincount(seen[seen > 0]).argmax()) - 1]
-    a, b = key.mesh_at(first_s).vertices, key.mesh_at(second_s).vertices
-    return float(np.linalg.norm(b - a, axis=1).mean())
+    key = scene.movers[int(np.bincount(seen[seen > 0]).argmax()) - 1]
+    return displacement_m(key, first_s, second_s)

@@ -80,15 +80,25 @@ class _Attention(nn.Module):
         self.norm = nn.LayerNorm(dim)
         self.feed = FeedForward(dim)
 
-    def split(self, x: Tensor) -> Tensor:
-        """(S, dim) to (heads, S, width)."""
-        return x.view(len(x), self.heads, self.width).transpose(0, 1)
+    def projected(self, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Queries (scaled), keys and values of features (S, dim), each (heads, S, width)."""
+        q, k, v = (
+            m(z).view(len(z), self.heads, self.width).transpose(0, 1)
+            for m in (self.query, self.key, self.value)
+        )
+        return q * self.width**-0.5, k, v
 
-    def finish(self, x: Tensor, scores: Tensor, values: Tensor) -> Tensor:
-        """Softmax of scores (heads, S, T) over values (heads, T, width), skip, norm, feed."""
-        mixed = torch.bmm(torch.softmax(scores * self.width**-0.5, dim=2), values)
-        y = self.norm(x + self.merge(mixed.transpose(0, 1).reshape(x.shape)))
-        out: Tensor = self.feed(y)
+    @staticmethod
+    def mixed(q: Tensor, k: Tensor, v: Tensor, bias: Tensor | None = None) -> Tensor:
+        """Values (heads, T, width) mixed by the softmax of q k + bias (heads, S, T): (S, dim)."""
+        scores = torch.bmm(q, k.transpose(1, 2))
+        if bias is not None:
+            scores = scores + bias
+        return torch.bmm(torch.softmax(scores, dim=2), v).transpose(0, 1).flatten(1)
+
+    def finish(self, z: Tensor, mixed: Tensor) -> Tensor:
+        """Output of the heads, skip, norm and feed-forward, (S, dim)."""
+        out: Tensor = self.feed(self.norm(z + self.merge(mixed)))
         return out
 
 
@@ -113,9 +123,21 @@ class SelfLayer(_Attention):
         Returns:
             (S, dim).
         """
-        q, k, v = (self.split(m(x)) for m in (self.query, self.key, self.value))
-        scores = torch.bmm(q, k.transpose(1, 2)) + self.geometric_scores(q, table, bins)
-        return self.finish(x, scores, v)
+        q, k, v = self.projected(x)
+        return self.finish(x, self.mixed(q, k, v, self.geometric_scores(q, table, bins)))
+
+    def both(
+        self, x: Tensor, y: Tensor, table: Tensor, x_bins: Tensor, y_bins: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """`forward` of two clouds, with their projections and feed-forward in one product each."""
+        z, n = torch.cat([x, y]), len(x)
+        q, k, v = self.projected(z)
+        parts = [
+            self.mixed(q[:, s], k[:, s], v[:, s], self.geometric_scores(q[:, s], table, bins))
+            for s, bins in ((slice(None, n), x_bins), (slice(n, None), y_bins))
+        ]
+        out = self.finish(z, torch.cat(parts))
+        return out[:n], out[n:]
 
     def geometric_scores(self, q: Tensor, table: Tensor, bins: Tensor) -> Tensor:
         """Scores q . (W r) of all pairs by way of (q W) . table: (heads, S, S).
@@ -131,8 +153,7 @@ class SelfLayer(_Attention):
             embedded = rows[:, :, 0] + rows[:, :, 1:].amax(dim=2)
             return torch.einsum('hnc,nmc->hnm', torch.bmm(q, W), embedded)
         per_row = torch.matmul(W, table.t())  # (heads, width, B)
-        per_query = torch.bmm(q, per_row).transpose(0, 1)  # (S, heads, B)
-        return lookup_scores(per_query, bins)
+        return lookup_scores(torch.bmm(q, per_row), bins)
 
     def plain_scores(self, q: Tensor, table: Tensor, bins: Tensor) -> Tensor:
         """The same scores by the paper's formula, with the S x S x dim tensor (reference)."""
@@ -149,5 +170,15 @@ class CrossLayer(_Attention):
 
     def forward(self, x: Tensor, y: Tensor) -> Tensor:
         """Features (S, dim) that have looked at the features y (T, dim) of the other cloud."""
-        q, k, v = self.split(self.query(x)), self.split(self.key(y)), self.split(self.value(y))
-        return self.finish(x, torch.bmm(q, k.transpose(1, 2)), v)
+        return self.both(x, y)[0]
+
+    def both(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Features (S, dim) and (T, dim) that have looked at each other."""
+        z, n = torch.cat([x, y]), len(x)
+        q, k, v = self.projected(z)
+        parts = [
+            self.mixed(q[:, :n], k[:, n:], v[:, n:]),
+            self.mixed(q[:, n:], k[:, :n], v[:, :n]),
+        ]
+        out = self.finish(z, torch.cat(parts))
+        return out[:n], out[n:]

@@ -14,7 +14,7 @@ from hybridreg_ros.core.config import option, validate
 from hybridreg_ros.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from hybridreg_ros.model.estimators import PoseEstimate
     from hybridreg_ros.model.network import MatchOutput
@@ -43,6 +43,8 @@ class ConfidenceFeatures:
         lead: of the pose over the best one that differs, as a share of its score.
         agreement: share of the descriptor matches that agree.
         matched: log(1 + descriptor matches that agree).
+        trusted: the fit with every point weighted by the network's trust in it.
+        resemblance: mean similarity of the fine features that meet.
     """
 
     log_inliers: float = 0.0
@@ -59,9 +61,11 @@ class ConfidenceFeatures:
     lead: float = 0.0
     agreement: float = 0.0
     matched: float = 0.0
+    trusted: float = 0.0
+    resemblance: float = 0.0
 
     def vector(self) -> NDArray[np.float64]:
-        """The features as (13,) float64, in the order of `feature_names`."""
+        """The features as (15,) float64, in the order of `feature_names`."""
         return np.array([getattr(self, name) for name in feature_names()])
 
 
@@ -71,9 +75,16 @@ def feature_names() -> tuple[str, ...]:
 
 
 def features_of(
-    found: MatchOutput, estimate: PoseEstimate, refined: Refinement, verified: Verified | None
+    found: MatchOutput,
+    estimate: PoseEstimate,
+    refined: Refinement,
+    verified: Verified | None,
+    trusted: tuple[float, float],
 ) -> ConfidenceFeatures:
-    """What the confidence looks at; without verification its features stay 0."""
+    """What the confidence looks at; without verification its features stay 0.
+
+    `trusted`: fit of the trusted points and resemblance, from `evidence.trusted_fit`.
+    """
     inliers, matches = int(estimate.inliers.sum()), len(found.weights)
     sigma2 = np.concatenate([found.source_sigma2, found.target_sigma2])
     features = ConfidenceFeatures(
@@ -86,6 +97,8 @@ def features_of(
         constraint=refined.constraint,
         correction=refined.correction,
         support=refined.support,
+        trusted=trusted[0],
+        resemblance=trusted[1],
     )
     if verified is None:
         return features
@@ -101,7 +114,7 @@ def features_of(
 
 # Uncalibrated: chosen by hand so that an untrained network, a bare plane, or fewer than about 30
 # inliers stay below one half. Training fits these and stores them with the weights.
-_DEFAULT_WEIGHTS = (1.2, 2.0, 1.5, 3.0, -2.0, 0.0, 4.0, -0.3, 0.0, 0.0, 0.0, 0.0, 0.0)
+_DEFAULT_WEIGHTS = (1.2, 2.0, 1.5, 3.0, -2.0, 0.0, 4.0, -0.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _DEFAULT_BIAS = -7.5
 _FULL_CONSTRAINT = 0.01
 _FULL_SUPPORT = 150
@@ -133,9 +146,12 @@ class Calibration:
         Whatever the logistic model says, the probability fades out where the clouds can slide on
         each other (one plane, a bare corridor) and where too few points meet.
         """
-        odds = float(np.dot(self.weights, features.vector()) + self.bias)
-        if not np.isfinite(odds):
-            return 0.0
+        logistic = self.logistic(features.vector())
         fixed = min(features.constraint / _FULL_CONSTRAINT, 1.0)
         met = min(features.support / _FULL_SUPPORT, 1.0)
-        return float(0.5 * (1.0 + np.tanh(0.5 * odds)) * fixed * met)
+        return logistic * fixed * met
+
+    def logistic(self, vector: ArrayLike) -> float:
+        """The logistic model alone (features as in `feature_names`); 0 when not finite."""
+        odds = float(np.dot(self.weights, np.asarray(vector)) + self.bias)
+        return float(0.5 * (1.0 + np.tanh(0.5 * odds))) if np.isfinite(odds) else 0.0

@@ -186,13 +186,13 @@ def neighbour_max(x: Tensor, near: Tensor) -> Tensor:
 
 @compiled
 def _lookup_forward(table: F32, bins: NDArray[np.int16], angles: bool) -> F32:
-    s, heads, _ = table.shape
+    heads, s, _ = table.shape
     count = bins.shape[2]
     out = np.empty((heads, s, bins.shape[1]), np.float32)
     share = np.float32(1.0 / max(count - 1, 1))
     for n in range(s):
         for h in range(heads):
-            row = table[n, h]
+            row = table[h, n]
             for m in range(bins.shape[1]):
                 v = row[np.uint64(bins[n, m, 0])]
                 if angles:
@@ -208,16 +208,16 @@ def _lookup_forward(table: F32, bins: NDArray[np.int16], angles: bool) -> F32:
 def _lookup_backward(g: F32, bins: NDArray[np.int16], rows: int, angles: bool) -> F32:
     heads, s, others = g.shape
     count = bins.shape[2]
-    out = np.zeros((s, heads, rows), np.float32)
+    out = np.zeros((heads, s, rows), np.float32)
     share = np.float32(1.0 / max(count - 1, 1))
     for n in range(s):
         for h in range(heads):
             for m in range(others):
-                out[n, h, bins[n, m, 0]] += g[h, n, m]
+                out[h, n, bins[n, m, 0]] += g[h, n, m]
                 if angles:
                     a = g[h, n, m] * share
                     for k in range(1, count):
-                        out[n, h, bins[n, m, k]] += a
+                        out[h, n, bins[n, m, k]] += a
     return out
 
 
@@ -240,7 +240,7 @@ def lookup_scores(table: Tensor, bins: Tensor) -> Tensor:
     """Geometric attention scores from per-query tables: distance term plus mean angle term.
 
     Args:
-        table: (S, H, B) score of query n, head h with table row b.
+        table: (H, S, B) score of head h, query n with table row b.
         bins: (S, S, 1 + A) int16 rows for every pair: one distance, A angles.
 
     Returns:
@@ -248,10 +248,10 @@ def lookup_scores(table: Tensor, bins: Tensor) -> Tensor:
     """
     if table.device.type == 'cpu':
         return _Lookup.apply(table, bins, bins.shape[2] > 1)  # type: ignore[no-any-return,no-untyped-call]
-    s, heads, _ = table.shape
-    rows = bins.long().reshape(s, 1, -1).expand(s, heads, -1)
-    values = table.gather(2, rows).view(s, heads, bins.shape[1], bins.shape[2])
+    heads, s, _ = table.shape
+    rows = bins.long().reshape(1, s, -1).expand(heads, s, -1)
+    values = table.gather(2, rows).view(heads, s, bins.shape[1], bins.shape[2])
     scores = values[..., 0]
     if bins.shape[2] > 1:
         scores = scores + values[..., 1:].mean(dim=3)
-    return scores.transpose(0, 1)
+    return scores

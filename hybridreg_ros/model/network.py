@@ -163,11 +163,13 @@ class HybridRegNet(nn.Module):
         gx, gy = source.pyramid.geometry, target.pyramid.geometry
         table = self.table()
         for i in range(self.config.blocks):
+            own, cross = self.self_layers[i], self.cross_layers[i]
+            assert isinstance(own, SelfLayer)
+            assert isinstance(cross, CrossLayer)
             if i:
-                x = self.self_layers[i](x, table, gx)
-                y = self.self_layers[i](y, table, gy)
+                x, y = own.both(x, y, table, gx, gy)
             before = x, y
-            x, y = self.cross_layers[i](x, y), self.cross_layers[i](y, x)
+            x, y = cross.both(x, y)
         x_logits, y_logits = self.mask(*before)
         return SuperpointOutput(
             functional.normalize(self.output(x), dim=1),

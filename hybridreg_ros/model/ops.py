@@ -1,13 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Point operations compiled by numba: Morton order, voxel barycentres, radius search, bins.
+"""Point operations compiled by numba: Morton order, voxel barycentres, pairwise bins.
 
 All run on one thread without the GIL and do not depend on the order of the input points.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numba
@@ -111,137 +110,6 @@ def run_of_each(order: I64, starts: I64) -> I32:
         for k in range(starts[r], starts[r + 1]):
             owner[order[k]] = r
     return owner
-
-
-@compiled
-def _slot(key: int, mask: int) -> int:
-    """First place to look for a key in an open hash table of mask + 1 places."""
-    h = (key ^ (key >> 31)) * 0x9E3779B97F4A7C1
-    return (h ^ (h >> 29)) & mask
-
-
-@compiled
-def _build_cells(
-    points: F32, low: NDArray[np.float64], inverse_cell: float
-) -> tuple[I64, I64, I64, I64, F32]:
-    """Hash table from cell key to a run of the points sorted by cell."""
-    n = points.shape[0]
-    keys = np.empty(n, np.int64)
-    for i in range(n):
-        x = int((float(points[i, 0]) - low[0]) * inverse_cell) + 1
-        y = int((float(points[i, 1]) - low[1]) * inverse_cell) + 1
-        z = int((float(points[i, 2]) - low[2]) * inverse_cell) + 1
-        keys[i] = x | (y << 21) | (z << 42)
-    order = np.argsort(keys, kind='mergesort')
-    size = 16
-    while size < 2 * n:
-        size *= 2
-    table_key = np.full(size, -1, np.int64)
-    table_start = np.zeros(size, np.int64)
-    table_stop = np.zeros(size, np.int64)
-    placed = np.empty((n, 3), np.float32)
-    begin = 0
-    for k in range(n):
-        placed[k] = points[order[k]]
-        key = keys[order[k]]
-        if k == n - 1 or keys[order[k + 1]] != key:
-            slot = _slot(key, size - 1)
-            while table_key[slot] != -1:
-                slot = (slot + 1) & (size - 1)
-            table_key[slot] = key
-            table_start[slot] = begin
-            table_stop[slot] = k + 1
-            begin = k + 1
-    return order, table_key, table_start, table_stop, placed
-
-
-@compiled
-def _search(
-    queries: F32,
-    cells: tuple[I64, I64, I64, I64, F32],
-    low: NDArray[np.float64],
-    inverse_cell: float,
-    radius: float,
-    limit: int,
-) -> I32:
-    """Nearest `limit` points within the radius of each query, nearest first, ties by index."""
-    order, table_key, table_start, table_stop, placed = cells
-    n, mask = placed.shape[0], table_key.shape[0] - 1
-    found = np.full((queries.shape[0], limit), n, np.int32)
-    distance = np.empty(limit, np.float32)
-    r2 = np.float32(radius * radius)
-    for q in range(queries.shape[0]):
-        qx, qy, qz = queries[q, 0], queries[q, 1], queries[q, 2]
-        count = 0
-        x0 = max(int(np.floor((qx - radius - low[0]) * inverse_cell)), -1) + 1
-        y0 = max(int(np.floor((qy - radius - low[1]) * inverse_cell)), -1) + 1
-        z0 = max(int(np.floor((qz - radius - low[2]) * inverse_cell)), -1) + 1
-        x1 = int(np.floor((qx + radius - low[0]) * inverse_cell)) + 1
-        y1 = int(np.floor((qy + radius - low[1]) * inverse_cell)) + 1
-        z1 = int(np.floor((qz + radius - low[2]) * inverse_cell)) + 1
-        for z in range(z0, z1 + 1):
-            for y in range(y0, y1 + 1):
-                for x in range(x0, x1 + 1):
-                    key = x | (y << 21) | (z << 42)
-                    slot = _slot(key, mask)
-                    while table_key[slot] != key and table_key[slot] != -1:
-                        slot = (slot + 1) & mask
-                    if table_key[slot] == -1:
-                        continue
-                    for k in range(table_start[slot], table_stop[slot]):
-                        dx, dy, dz = placed[k, 0] - qx, placed[k, 1] - qy, placed[k, 2] - qz
-                        d = dx * dx + dy * dy + dz * dz
-                        if d > r2:
-                            continue
-                        i = order[k]
-                        if count == limit:
-                            last = distance[limit - 1]
-                            if d > last or (d == last and i > found[q, limit - 1]):
-                                continue
-                            count -= 1
-                        p = count
-                        while p > 0 and (
-                            distance[p - 1] > d or (distance[p - 1] == d and found[q, p - 1] > i)
-                        ):
-                            distance[p] = distance[p - 1]
-                            found[q, p] = found[q, p - 1]
-                            p -= 1
-                        distance[p] = d
-                        found[q, p] = i
-                        count += 1
-    return found
-
-
-@dataclass(frozen=True, eq=False)
-class CellList:
-    """Points sorted into cubic cells, for fixed-radius searches.
-
-    Attributes:
-        cells: hash table and sorted points, as the compiled search reads them.
-        low: (3,) float64 corner of the first cell.
-        inverse_cell: one over the side of a cell.
-    """
-
-    cells: tuple[I64, I64, I64, I64, F32]
-    low: NDArray[np.float64]
-    inverse_cell: float
-
-    @classmethod
-    def build(cls, points: F32, cell: float) -> CellList:
-        """Sort points (N, 3) into cells of side `cell`; a search is fastest with radius = cell."""
-        low = points.min(axis=0).astype(np.float64)
-        inverse = 1.0 / cell
-        return cls(_build_cells(points, low, inverse), low, inverse)
-
-    def search(self, queries: F32, radius: float, limit: int) -> I32:
-        """Neighbours of each query.
-
-        Returns:
-            (Q, limit) int32 nearest points within the radius, nearest first (ties: lower index
-            first), padded with the number of points.
-        """
-        found: I32 = _search(queries, self.cells, self.low, self.inverse_cell, radius, limit)
-        return found
 
 
 @compiled

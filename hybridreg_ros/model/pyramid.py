@@ -16,8 +16,8 @@ import torch
 from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.model import ops
 from hybridreg_ros.model.kernel import KernelOperator, kernel_operator, kernel_points
+from hybridreg_ros.model.neighbours import CellList
 from hybridreg_ros.model.normals import surface_normals
-from hybridreg_ros.model.ops import CellList
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -17,6 +17,7 @@ from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.model.checkpoint import load_checkpoint, packaged_weights
 from hybridreg_ros.model.confidence import Calibration, ConfidenceFeatures, features_of
 from hybridreg_ros.model.estimators import judged
+from hybridreg_ros.model.evidence import Evidence, trusted_fit
 from hybridreg_ros.model.network import Encoding, HybridRegNet
 from hybridreg_ros.model.posterior import posterior_sigma2
 from hybridreg_ros.model.pyramid import build_pyramid, metric_transform
@@ -32,9 +33,11 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from hybridreg_ros.model.config import ModelConfig
+    from hybridreg_ros.model.estimators import PoseEstimate
     from hybridreg_ros.model.hypotheses import Candidates
     from hybridreg_ros.model.network import MatchOutput
     from hybridreg_ros.model.refine import Refinement
+    from hybridreg_ros.model.verify import Proposals, Verified
     from hybridreg_ros.model.views import View
 
     F64 = NDArray[np.float64]
@@ -224,17 +227,14 @@ class HybridReg:
             middle = time.perf_counter()
             estimate, verified = found.estimate, None
             if proposed is not None:
-                matches, poses = proposed.result()
-                verified = verify(poses, estimate.V_target_source, matches, views)
+                matches, proposals = proposed.result()
+                verified = verify(proposals, estimate.V_target_source, matches, views)
                 estimate = judged(
                     verified.V_target_source, found.matches, self.config.acceptance_radius
                 )
         chosen = time.perf_counter()
         refined = refine(*views, estimate.V_target_source)
-        features = features_of(found, estimate, refined, verified)
-        result = self._result(
-            source, target, found, refined, features, int(estimate.inliers.sum())
-        )
+        result = self._result(source, target, found, estimate, refined, verified)
         end = time.perf_counter()
         timings = {
             'network': middle - start,
@@ -253,17 +253,21 @@ class HybridReg:
         source: EncodedCloud,
         target: EncodedCloud,
         found: MatchOutput,
+        estimate: PoseEstimate,
         refined: Refinement,
-        features: ConfidenceFeatures,
-        inliers: int,
+        verified: Verified | None,
     ) -> RegistrationResult:
         """Everything that users get, without timings."""
         a, b = source.encoding.pyramid, target.encoding.pyramid
-        V, confidence = refined.V_target_source, self.calibration.probability(features)
+        V, views = refined.V_target_source, (source.view, target.view)
         prior = spread_to_level0(a, found.source_sigma2), spread_to_level0(b, found.target_sigma2)
+        evidence = Evidence.of(source.encoding, prior[0]), Evidence.of(target.encoding, prior[1])
+        trusted = trusted_fit(V, views, evidence)
+        features = features_of(found, estimate, refined, verified, trusted)
+        confidence = self.calibration.probability(features)
         sigma2 = (
-            posterior_sigma2(prior[0], source.view, target.view, V, confidence),
-            posterior_sigma2(prior[1], target.view, source.view, se3.inverse(V), confidence),
+            posterior_sigma2(prior[0], *views, V, confidence),
+            posterior_sigma2(prior[1], *views[::-1], se3.inverse(V), confidence),
         )
         return RegistrationResult(
             metric_transform(V, a, b),
@@ -272,13 +276,13 @@ class HybridReg:
             values_of_inputs(b, sigma2[1]),
             Correspondences(found.source_points, found.target_points, found.weights),
             found.T_target_source,
-            inliers,
+            int(estimate.inliers.sum()),
             a.voxel_size_m,
             features,
         )
 
 
-def _proposals(source: EncodedCloud, target: EncodedCloud) -> tuple[Candidates, F64]:
+def _proposals(source: EncodedCloud, target: EncodedCloud) -> tuple[Candidates, Proposals]:
     """Descriptor matches of two clouds and the poses they suggest."""
     matches = descriptor_matches(source.encoding, target.encoding)
     return matches, propose(matches, (source.view, target.view))

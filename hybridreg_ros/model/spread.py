@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hybridreg_ros.model.ops import CellList, compiled
+from hybridreg_ros.model.neighbours import CellList
+from hybridreg_ros.model.ops import compiled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

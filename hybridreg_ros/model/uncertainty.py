@@ -37,12 +37,10 @@ class MaskHead(nn.Module):
         Returns:
             (S, n) and (T, n) logits, n = config.mask_outputs.
         """
-        return self._logits(x, self.cross(x, y)), self._logits(y, self.cross(y, x))
-
-    def _logits(self, own: Tensor, crossed: Tensor) -> Tensor:
-        hidden = functional.relu(self.hidden(torch.cat([own, crossed], dim=1)))
-        out: Tensor = self.output(hidden)
-        return out
+        crossed = torch.cat(self.cross.both(x, y))
+        hidden = functional.relu(self.hidden(torch.cat([torch.cat([x, y]), crossed], dim=1)))
+        logits = self.output(hidden)
+        return logits[: len(x)], logits[len(x) :]
 
 
 def sigma2_of(logits: Tensor) -> Tensor:

@@ -67,6 +67,19 @@ class Verified:
     hypotheses: int
 
 
+@dataclass(frozen=True, eq=False)
+class Proposals:
+    """Poses that may be right.
+
+    Attributes:
+        poses: (B, 4, 4) transforms, voxels.
+        rank: (B,) rough score of each, larger = better.
+    """
+
+    poses: F64
+    rank: F64
+
+
 def view_of(pyramid: Pyramid) -> View:
     """A cloud's finest level, prepared for judging and refining poses."""
     sensor = -pyramid.origin_m / pyramid.voxel_size_m
@@ -85,44 +98,46 @@ def descriptor_matches(source: Encoding, target: Encoding) -> Candidates:
     )
 
 
-def propose(matches: Candidates, views: tuple[View, View]) -> F64:
+def propose(matches: Candidates, views: tuple[View, View]) -> Proposals:
     """Poses that groups of consistent matches suggest, as they are and roughly aligned.
 
     Args:
         matches: descriptor matches of fine points, voxels.
         views: source and target.
-
-    Returns:
-        (2 B, 4, 4) transforms, voxels.
     """
     best = matches.best(_MATCHES)
-    return _roughly_aligned(consistent_hypotheses(best, _TOLERANCE, _SEEDS, _NEIGHBOURS), views)
+    poses = consistent_hypotheses(best, _TOLERANCE, _SEEDS, _NEIGHBOURS)
+    return _ranked(poses, matches, views)
 
 
-def _roughly_aligned(poses: F64, views: tuple[View, View]) -> F64:
-    """Poses (B, 4, 4) followed by the same after a few rounds on thinned clouds."""
+def _ranked(poses: F64, matches: Candidates, views: tuple[View, View]) -> Proposals:
+    """Poses (B, 4, 4) and the same after a few rounds of alignment, judged on thinned clouds."""
     source, target = (view.thinned(_ROUGH_EVERY) for view in views)
     stages = [
         (target.wide, _WIDE_RADIUS, _ROUGH_ROUNDS[0]),
         (target.grid, _FIT_RADIUS, _ROUGH_ROUNDS[1]),
     ]
-    return np.concatenate([poses, polished(poses, source, target, stages)])
+    poses = np.concatenate([poses, polished(poses, source, target, stages)])
+    return Proposals(poses, _scores(poses, matches, (source, target)))
 
 
-def verify(poses: F64, first: F64, matches: Candidates, views: tuple[View, View]) -> Verified:
+def verify(
+    proposals: Proposals, first: F64, matches: Candidates, views: tuple[View, View]
+) -> Verified:
     """The pose under which two clouds fit best.
 
     Args:
-        poses: (B, 4, 4) from `propose`, voxels.
+        proposals: from `propose`.
         first: (4, 4) a pose to be compared too, that of LGR, voxels.
         matches: descriptor matches of fine points, voxels.
         views: source and target.
     """
     source, target = views
-    poses = np.concatenate([poses, _roughly_aligned(first[None], views)])
+    given = _ranked(first[None], matches, views)
+    poses = np.concatenate([proposals.poses, given.poses])
+    rank = np.concatenate([proposals.rank, given.rank])
     compared = len(poses) // 2
     probes = source.points[:: max(1, len(source.points) // _PROBES)].astype(np.float64)
-    rank = _scores(poses, matches, (source.thinned(_ROUGH_EVERY), target.thinned(_ROUGH_EVERY)))
     poses = poses[distinct(poses, rank, probes, _SPACING, _FINALISTS)]
     last = [(target.grid, _FIT_RADIUS, _FINAL_ROUNDS)]
     poses = np.concatenate([poses, polished(poses, source, target, last)])

@@ -70,7 +70,8 @@ class View:
     Attributes:
         points: (N, 3) float32, voxels.
         normals: (N, 3) float32 unit.
-        sample: (K, 3) float32, the points that are tested against the other cloud.
+        rows: (K,) int64 numbers of the points that are tested against the other cloud.
+        sample: (K, 3) float32, those points.
         sample_normals: (K, 3) float32 unit.
         grid: of cells of one voxel.
         wide: of larger cells.
@@ -81,6 +82,7 @@ class View:
 
     points: F32
     normals: F32
+    rows: I64
     sample: F32
     sample_normals: F32
     grid: Grid
@@ -102,19 +104,20 @@ class View:
         rows = _evenly_spread(len(points), sample)
         grids = Grid.build(points, _CELL_VOXELS), Grid.build(points, _WIDE_CELL_VOXELS)
         image, near = _range_image(points, sensor, _FACE_BINS)
-        return cls(points, normals, points[rows], normals[rows], *grids, sensor, image, near)
+        return cls(points, normals, rows, points[rows], normals[rows], *grids, sensor, image, near)
 
     def resampled(self, most: int) -> View:
         """The same view with up to `most` points to test, evenly spread over all."""
         rows = _evenly_spread(len(self.points), most)
         return dataclasses.replace(
-            self, sample=self.points[rows], sample_normals=self.normals[rows]
+            self, rows=rows, sample=self.points[rows], sample_normals=self.normals[rows]
         )
 
     def thinned(self, every: int) -> View:
         """The same view with one in `every` of its sampled points."""
         return dataclasses.replace(
             self,
+            rows=np.ascontiguousarray(self.rows[::every]),
             sample=np.ascontiguousarray(self.sample[::every]),
             sample_normals=np.ascontiguousarray(self.sample_normals[::every]),
         )

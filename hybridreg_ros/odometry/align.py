@@ -115,7 +115,7 @@ def associate(points, R, t, grid, wider, update, kind, anchor, normal, var):  # 
         if voxel < 0:
             continue
         age = update - grid.fitted[voxel, i]
-        if grid.fitted[voxel, i] == 0 or age > (12 if grid.support[voxel, i] > 20 else 3):
+        if grid.fitted[voxel, i] == 0 or age > (24 if grid.support[voxel, i] > 20 else 6):
             fit_surface(voxel, i, grid, wider, update)
         kind[row] = grid.kind[voxel, i]
         offset = grid.surface[voxel, i, 3]
@@ -152,7 +152,7 @@ def normal_equations(points, weights, R, t, kind, anchor, normal, var, scale, po
     Args:
         points: (N, 3) float64, sensor frame.
         weights: (N,) share of trust per point, [0, 1].
-        scale: standard deviation of a good plane residual, metres.
+        scale: (N,) standard deviation of a good plane residual, metres.
         point_var: variance of a point-to-point residual, m^2.
 
     Returns:
@@ -177,7 +177,7 @@ def normal_equations(points, weights, R, t, kind, anchor, normal, var, scale, po
         if kind[row] == PLANE:
             nx, ny, nz = normal[row, 0], normal[row, 1], normal[row, 2]
             r = dx * nx + dy * ny + dz * nz
-            variance = scale * scale + var[row]
+            variance = scale[row] * scale[row] + var[row]
             kernel = 9.0 * variance / (9.0 * variance + r * r)
             w = weights[row] * kernel * kernel
             total += w

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from hybridreg_ros.odometry.voxelmap import EMPTY, find_slot, voxel_key
+from hybridreg_ros.odometry.voxelmap import EMPTY, empty_table, find_slot, voxel_key
 
 _jit = numba.njit(cache=True, nogil=True)
 
@@ -26,11 +26,7 @@ def occupied(points, size):  # type: ignore[no-untyped-def]
         (M,) int32 of points per cell, and the cell of each point (N,) int32, -1 outside the grid.
     """
     n = len(points)
-    capacity = 64
-    while capacity < 2 * n:
-        capacity *= 2
-    table = np.full(capacity, EMPTY, np.int64)
-    slots = np.zeros(capacity, np.int32)
+    table, slots = empty_table(n)
     keys = np.empty(n, np.int64)
     counts = np.zeros(n, np.int32)
     cell = np.full(n, -1, np.int32)

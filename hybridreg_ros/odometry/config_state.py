@@ -86,8 +86,9 @@ class DynamicsConfig(Section):
     )
     memory: int = option(8, 'earlier scans a point is compared with', low=1, high=50)
     spacing_s: float = option(
-        0.5, 'time between the scans that are kept for that, seconds', low=0.0, high=10.0
-    )
+        0.5, 'time between the scans that are kept for that once there are enough, seconds',
+        low=0.0, high=10.0,
+    )  # fmt: skip
     cell: float = option(1.0, 'edge of the cells that are judged, in voxels', low=0.25, high=10.0)
     enter_share: float = option(
         0.5, 'share of the looks at a place that saw it free, for its points to count as moving',
@@ -101,6 +102,25 @@ class DynamicsConfig(Section):
         1.0, 'cells a group may grow by, per cell in space seen free', low=0.0, high=100.0
     )
     fade: float = option(0.97, 'factor on P(dynamic) per such cell', low=0.0, high=1.0)
+    bend_deg: float = option(
+        15.0, 'neighbouring cells of one surface turn by less, degrees', low=1.0, high=90.0
+    )
+    fold: float = option(
+        0.25, 'a fold inwards by more (difference of sines) divides two things', low=0.0, high=2.0
+    )
+    surface_cells: int = option(
+        60, 'motion does not spread over a still surface of more cells', low=1, high=100_000
+    )
+    surface_share: float = option(
+        0.2, 'share of the cells seen before that came, for a surface to move as a whole',
+        low=0.0, high=1.0,
+    )  # fmt: skip
+    object_share: float = option(
+        0.3, 'the same for a thing made of several surfaces', low=0.0, high=1.0
+    )
+    min_object_cells: int = option(
+        8, 'cells that came, for a thing to move as a whole', low=1, high=1000
+    )
     min_seed_cells: int = option(
         5, 'groups with fewer cells in space seen free are taken as noise', low=0, high=1000
     )
@@ -109,11 +129,15 @@ class DynamicsConfig(Section):
         low=0.0, high=1.0,
     )  # fmt: skip
     tolerance: float = option(
-        0.5, 'slack in range before a point is off a seen surface, in voxels', low=0.01, high=10.0
-    )
+        0.0,
+        'slack in range before a point is off a seen surface, in voxels; 0 = by sensor (depth '
+        '0.3, lidar 0.5)',
+        low=0.0, high=10.0,
+    )  # fmt: skip
     tolerance_share: float = option(
-        0.015, 'further slack as a share of the range', low=0.0, high=0.5
-    )
+        0.0, 'further slack as a share of the range; 0 = by sensor (depth 0.01, lidar 0.015)',
+        low=0.0, high=0.5,
+    )  # fmt: skip
     decay: float = option(0.8, 'share of the evidence that survives a frame', low=0.0, high=1.0)
     min_cluster_points: int = option(
         20, 'smaller groups of moving points are taken as noise', low=1, high=10_000

@@ -4,15 +4,15 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import NS_PER_S
-from hybridreg_ros.odometry import align, cells
+from hybridreg_ros.odometry import align, cells, objects, segments
 from hybridreg_ros.odometry.rangeimage import FRONT, ON, RangeImage
 
 if TYPE_CHECKING:
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 _SURE = 0.95
 """P(dynamic) of a cell that stands in space seen free."""
+_TOLERANCE = {'depth': (0.3, 0.01), 'lidar': (0.5, 0.015)}
+"""Slack in voxels and as a share of the range; a sparse lidar says less about slanted surfaces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +55,9 @@ class Dynamics:
     """Per-point P(dynamic) without a network; sharpened by one when there is one.
 
     A point that stands where two earlier scans saw through is something that came: a seed. Seeds
-    grow over connected cells to whole objects, but not over large planes of the map (floors,
-    walls). A cell that was dynamic keeps a fading part of it. A point in a direction or behind a
-    surface where no scan saw anything is new, not dynamic.
+    grow to whole things (`objects`), but not over large planes (floors, walls). A cell that was
+    dynamic keeps a fading part of it. A point in a direction or behind a surface where no scan saw
+    anything is new: it moves only when the thing that it belongs to does.
 
     Args:
         config: settings.
@@ -65,8 +67,10 @@ class Dynamics:
     def __init__(self, config: DynamicsConfig, sensor: SensorModel) -> None:
         self._config = config
         self._size_m = config.cell * sensor.voxel_size_m
-        self._slack_m = config.tolerance * sensor.voxel_size_m
-        self._past: deque[_Past] = deque(maxlen=config.memory)
+        slack, share = _TOLERANCE[sensor.kind]
+        self._slack_m = (config.tolerance or slack) * sensor.voxel_size_m
+        self._slack_share = config.tolerance_share or share
+        self._past: list[_Past] = []
         self._grid: _Grid | None = None
 
     def trust(self, points: F32, T_odom_sensor: F64) -> F32:
@@ -99,39 +103,51 @@ class Dynamics:
         Returns:
             (N,) float32 in [0, 1]; 0 outside the range limits.
         """
-        usable = np.flatnonzero(cloud.usable)
-        points = cloud.points[usable]
-        placed = se3.apply(T_odom_sensor, points)
-        table, slots, keys, counts, cell = cells.occupied(placed, self._size_m)
+        placed = se3.apply(T_odom_sensor, cloud.means)
+        table, slots, keys, _, cell = cells.occupied(placed, self._size_m)
         inside = np.flatnonzero(cell >= 0)
         first = np.zeros(len(keys), np.int64)
         first[cell[inside][::-1]] = inside[::-1]
+        counts = np.bincount(cell[inside], weights=cloud.counts[inside], minlength=len(keys))
         remembered = self._remembered(placed[first], spread=False)
-        seed = self._seeds(points[first], T_odom_sensor, remembered)
+        seed, known = self._seeds(cloud.means[first], T_odom_sensor, remembered)
         if uncertainty is not None:
-            whole = np.full(len(cloud.points), -1.0, np.float32)
-            whole[cloud.map_rows] = uncertainty
-            vote = _mean_per_cell(whole[usable], cell, len(keys))
-            seed = self._with_network(seed, vote, points[first], T_odom_sensor)
-        value = self._objects(keys, table, slots, counts, seed, placed[first], local_map)
+            vote = _mean_per_cell(uncertainty, cell, len(keys))
+            seed = self._with_network(seed, vote, cloud.means[first], T_odom_sensor)
+        grid = objects.Cells(table, slots, keys, counts, self._size_m)
+        group = objects.confirmed(grid, seed >= 0.5, self._config)
+        value = np.zeros(len(keys), np.float32)
+        if (group >= 0).any():
+            shape = objects.Shape(
+                *segments.normals(placed - T_odom_sensor[:3, 3], cell, *grid.index)
+            )
+            wall = self._on_large_plane(placed[first].astype(np.float64), local_map)
+            value = self._grown(grid, shape, group, seed, known, wall)
         # Memory comes after the growth and does not spread: else it would creep over everything.
         value = np.maximum(value, self._config.decay * remembered)
         self._grid = _Grid(table, slots, value)
-        out = np.zeros(len(cloud.points), np.float32)
-        out[usable[inside]] = value[cell[inside]]
-        return out
+        of_cube = np.where(cell >= 0, value[cell], 0.0).astype(np.float32)
+        return np.where(cloud.cube >= 0, of_cube[cloud.cube], np.float32(0.0))
 
     def remember(self, image: RangeImage, points: F32, stamp: int) -> None:
-        """Keep a scan for later tests when the last one kept is old enough.
+        """Keep a scan for later tests: every one at first, then one per `spacing_s`.
+
+        The scan that goes is the one nearest in time to the one before it, or the oldest when
+        they are a spacing apart: so a short past is looked at closely and a long one evenly.
 
         Args:
             image: what the scan saw.
             points: (K, 3) float32, thinned static points, odom frame, metres.
             stamp: ns.
         """
-        if self._past and abs(stamp - self._past[-1].stamp) < self._config.spacing_s * NS_PER_S:
-            return
-        self._past.append(_Past(stamp, image, points))
+        past, spacing = self._past, self._config.spacing_s * NS_PER_S
+        if len(past) == self._config.memory:
+            if abs(stamp - past[-1].stamp) < spacing:
+                return
+            gaps = [abs(b.stamp - a.stamp) for a, b in pairwise(past)]
+            close = int(np.argmin(gaps)) if gaps and min(gaps) < 0.9 * spacing else -1
+            del past[close + 1]
+        past.append(_Past(stamp, image, points))
 
     def vanished(self, image: RangeImage) -> F32:
         """Points (V, 3), odom frame, of earlier scans in space that a new scan sees through.
@@ -145,7 +161,7 @@ class Dynamics:
                 past.points,
                 np.eye(4),
                 2.0 * self._slack_m,
-                self._config.tolerance_share,
+                self._slack_share,
                 strict=True,
             )
             gone.append(past.points[stand == FRONT])
@@ -157,29 +173,36 @@ class Dynamics:
         self._grid = None
 
     def _oldest_and_newest(self) -> Iterable[_Past]:
-        return {id(p): p for p in (*list(self._past)[:1], *list(self._past)[-1:])}.values()
+        return {id(p): p for p in (*self._past[:1], *self._past[-1:])}.values()
 
-    def _seeds(self, points: F32, T_odom_sensor: F64, remembered: F32) -> F32:
-        """P(dynamic) per point from free space, with hysteresis in time."""
+    def _seeds(
+        self, points: F32, T_odom_sensor: F64, remembered: F32
+    ) -> tuple[F32, NDArray[np.bool_]]:
+        """P(dynamic) per point from free space, with hysteresis in time.
+
+        And which of the other points stand on what an earlier scan saw.
+        """
         front = np.zeros(len(points), np.int32)
         on = np.zeros(len(points), np.int32)
         for past in self._past:
             stand = past.image.stand(
-                points, T_odom_sensor, self._slack_m, self._config.tolerance_share, strict=True
+                points, T_odom_sensor, self._slack_m, self._slack_share, strict=True
             )
             front += stand == FRONT
             on += stand == ON
         share = front / np.maximum(1, front + on)
+        # One look is not enough: the poses of the first two scans may disagree.
         came = (front >= 2) & (share >= self._config.enter_share)
         stays = (front >= 2) & (share >= self._config.stay_share) & (remembered >= 0.5)
-        return np.where(came | stays, _SURE, 0.0).astype(np.float32)
+        moves = came | stays
+        return np.where(moves, _SURE, 0.0).astype(np.float32), (on > 0) & ~moves
 
     def _with_network(self, seed: F32, uncertainty: F32, points: F32, T_odom_sensor: F64) -> F32:
         """Let the network speak for points in directions that the last scan kept has seen."""
         if not self._past:
             return seed
         stand = self._past[-1].image.stand(
-            points, T_odom_sensor, self._slack_m, self._config.tolerance_share, strict=True
+            points, T_odom_sensor, self._slack_m, self._slack_share, strict=True
         )
         known = (stand == ON) | (stand == FRONT)
         vote = np.where(known, self._config.network_weight * uncertainty, 0.0)
@@ -207,33 +230,24 @@ class Dynamics:
         on: NDArray[np.bool_] = (kind == align.PLANE) & thin & (off < self._slack_m)
         return on
 
-    def _objects(
+    def _grown(
         self,
-        keys: NDArray[np.int64],
-        table: NDArray[np.int64],
-        slots: NDArray[np.int32],
-        counts: NDArray[np.int32],
+        grid: objects.Cells,
+        shape: objects.Shape,
+        group: NDArray[np.int32],
         seed: F32,
-        placed: F32,
-        local_map: LocalMap,
+        known: NDArray[np.bool_],
+        wall: NDArray[np.bool_],
     ) -> F32:
-        """P(dynamic) per cell: seeds in groups large enough to be a thing, grown over it."""
-        value = np.zeros_like(seed)
-        member = seed >= 0.5
-        if not member.any():
-            return value
-        group = cells.groups(keys, table, slots, member)
-        points = np.bincount(group[member], weights=counts[member])
-        size = np.bincount(group[member])
-        thing = (points >= self._config.min_cluster_points) & (size >= self._config.min_seed_cells)
-        group[member & ~thing[group]] = -1
-        value[group >= 0] = seed[group >= 0]
-        if not thing.any():
-            return value
-        passable = ~self._on_large_plane(placed.astype(np.float64), local_map)
+        """P(dynamic) per cell: that of the seeds in groups, and of what hangs on them."""
+        seeds = group >= 0
+        value = np.where(seeds, seed, np.float32(0.0))
+        size = np.bincount(group[seeds])
+        taken, passable = objects.complete(grid, shape, group, known, wall, self._config)
+        value[taken] = _SURE * self._config.fade
         budget = (self._config.growth_share * size).astype(np.int64)
         cells.grow(
-            keys, table, slots, value, group, budget, passable,
+            grid.keys, grid.table, grid.slots, value, group, budget, passable & ~taken,
             self._config.growth, self._config.fade,
         )  # fmt: skip
         return value

@@ -11,7 +11,7 @@ import numpy as np
 from hybridreg_ros.core import se3
 from hybridreg_ros.odometry.kiss import KissRegistration
 from hybridreg_ros.odometry.refine import assess, pull_in, refine
-from hybridreg_ros.odometry.voxelmap import first_per_voxel
+from hybridreg_ros.odometry.thinning import first_per_voxel
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

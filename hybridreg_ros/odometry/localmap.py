@@ -46,17 +46,20 @@ class VoxelLevel:
             keys=np.zeros(voxels, np.int64),
             counts=np.zeros(voxels, np.int32),
             store=np.zeros((*points, 3), np.float32),
+            mass=np.zeros(points, np.float32),
             surface=np.zeros((*points, 5), np.float32),
             kind=np.zeros(points, np.int8),
             fitted=np.zeros(points, np.int32),
             support=np.zeros(points, np.int16),
         )
 
-    def add(self, points: NDArray[np.floating]) -> None:
-        """Add points (N, 3), map frame, metres."""
+    def add(self, points: NDArray[np.floating], weights: NDArray[np.floating]) -> None:
+        """Add points (N, 3), map frame, metres, with their weights (N,)."""
         row = 0
         while row < len(points):
-            self.used, done = voxelmap.insert(points[row:], self._spacing_sq, self.grid, self.used)
+            self.used, done = voxelmap.insert(
+                points[row:], weights[row:], self._spacing_sq, self.grid, self.used
+            )
             row += done
             if row < len(points):
                 self._grow()
@@ -84,7 +87,7 @@ class VoxelLevel:
         """Twice as many cubes."""
         old, count = self.grid, len(self.grid.counts)
         self._allocate(2 * count)
-        for name in ('keys', 'counts', 'store', 'surface', 'kind', 'fitted', 'support'):
+        for name in ('keys', 'counts', 'store', 'mass', 'surface', 'kind', 'fitted', 'support'):
             getattr(self.grid, name)[:count] = getattr(old, name)
         self.used = voxelmap.keep_near(np.zeros(3), np.inf, self.grid, self.used)
 
@@ -123,17 +126,24 @@ class LocalMap:
         """Cubes of the fine level in use."""
         return self.fine.used
 
-    def update(self, points: NDArray[np.floating], position: NDArray[np.float64]) -> None:
+    def update(
+        self,
+        points: NDArray[np.floating],
+        position: NDArray[np.float64],
+        weights: NDArray[np.floating] | None = None,
+    ) -> None:
         """Add static points and forget what is out of reach.
 
         Args:
             points: (N, 3) odom frame, metres.
             position: (3,) of the sensor, odom frame, metres.
+            weights: (N,) of each point in means with others there, at most 1; None = 1.
         """
+        given = np.ones(len(points)) if weights is None else np.asarray(weights, np.float64)
         self.updates += 1
         self.changes += 1
         for level in self.levels:
-            level.add(points)
+            level.add(points, given)
         if not np.linalg.norm(position - self._pruned_at) < 0.1 * self._reach_m:
             for level in self.levels:
                 level.keep_near(position, self._reach_m)

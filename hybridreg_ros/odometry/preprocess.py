@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
-from hybridreg_ros.odometry.voxelmap import first_per_voxel
+from hybridreg_ros.odometry.thinning import first_per_voxel, mean_per_voxel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 _VOXEL_PER_RANGE = {'depth': 0.022, 'lidar': 0.035}
 _LONGEST_SCAN_S = 1.0
+_NOISE_RANGE_SQ = 2.0
+"""Squared range, m^2, up to which the pose rather than the noise of a depth camera limits what a
+point tells: 3 mm against 1.5 mm per squared metre."""
 _DEFAULT_RANGES_M = {'depth': (0.2, 8.0), 'lidar': (0.5, 100.0)}
 
 
@@ -49,6 +52,9 @@ class Cloud:
         usable: (N,) bool, inside the range limits.
         map_rows: (M,) rows of `points` thinned for the map.
         icp_rows: (K,) rows of `points` thinned for registration, K <= icp_points.
+        means: (M, 3) float32, mean of the points in the cube of each map row: less noise than one.
+        counts: (M,) int32 points in that cube.
+        cube: (N,) int32 cube of each point, -1 outside the range limits.
         deskewed: True when the motion during the scan was undone.
         instant_s: instant of `points`, seconds after the scan's stamp.
         reported_s: instant at which the pose is wanted, seconds after the scan's stamp.
@@ -58,13 +64,16 @@ class Cloud:
     usable: NDArray[np.bool_]
     map_rows: NDArray[np.int64]
     icp_rows: NDArray[np.int64]
+    means: NDArray[np.float32]
+    counts: NDArray[np.int32]
+    cube: NDArray[np.int32]
     deskewed: bool
     instant_s: float
     reported_s: float
 
     @property
     def map_points(self) -> NDArray[np.float32]:
-        """(M, 3) points that go into the map."""
+        """(M, 3) measured points, thinned; the network gets them."""
         return self.points[self.map_rows]
 
     @property
@@ -74,8 +83,8 @@ class Cloud:
 
     @property
     def icp_points(self) -> NDArray[np.float32]:
-        """(K, 3) points that are registered."""
-        return self.points[self.icp_rows]
+        """(K, 3) points that are registered: means of the cubes of `icp_rows`."""
+        return self.means[self.icp_in_map]
 
 
 def recognise_sensor(points: NDArray[np.float32], config: OdometryConfig) -> SensorModel:
@@ -128,15 +137,35 @@ def preprocess(
         points = deskew(points, scan.times, twist, instant_s)
     usable = _in_range(points, sensor.min_range_m**2, sensor.max_range_m**2)
     rows = np.flatnonzero(usable)
-    if len(rows) > config.max_points:
-        rows = rows[:: -(-len(rows) // config.max_points)]
-    map_rows = rows[first_per_voxel(points[rows], config.map_thinning * sensor.voxel_size_m)]
-    icp_rows = map_rows[
-        first_per_voxel(points[map_rows], config.icp_thinning * sensor.voxel_size_m)
-    ]
+    near, size = points[rows], config.map_thinning * sensor.voxel_size_m
+    some = np.arange(0, len(rows), max(1, -(-len(rows) // config.max_points)))
+    first = some[first_per_voxel(near[some] if len(some) < len(rows) else near, size)]
+    means, counts, inside = mean_per_voxel(near, size, first)
+    cube = np.full(len(points), -1, np.int32)
+    cube[rows] = inside
+    map_rows = rows[first]
+    icp_rows = map_rows[first_per_voxel(near[first], config.icp_thinning * sensor.voxel_size_m)]
     if len(icp_rows) > config.icp_points:
         icp_rows = icp_rows[:: -(-len(icp_rows) // config.icp_points)]
-    return Cloud(points, usable, map_rows, icp_rows, deskewed, instant_s, reported_s)
+    return Cloud(
+        points, usable, map_rows, icp_rows, means, counts, cube, deskewed, instant_s, reported_s
+    )
+
+
+def certainty(points: NDArray[np.floating], sensor: SensorModel) -> NDArray[np.float64]:
+    """Weight (N,) in (0, 1] of measured points in a mean: inverse variance, 1 for the best.
+
+    The noise of a depth camera grows with the square of the range; that of a lidar does not.
+
+    Args:
+        points: (N, 3), sensor frame, metres.
+        sensor: its kind.
+    """
+    if sensor.kind != 'depth':
+        return np.ones(len(points))
+    squared = np.einsum('ij,ij->i', points, points).astype(np.float64)
+    weights: NDArray[np.float64] = 1.0 / (1.0 + (squared / _NOISE_RANGE_SQ) ** 2)
+    return weights
 
 
 def deskew(

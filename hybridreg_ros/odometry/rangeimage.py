@@ -20,7 +20,7 @@ UNSEEN, FRONT, ON, BEHIND = 0, 1, 2, 3
 """Where a point stands: direction not seen, in seen free space, on a surface, hidden by one."""
 
 _MOST_POINTS = 150_000
-_POINTS_PER_PIXEL = 4
+_POINTS_PER_PIXEL = 2
 _FINEST_RAD = np.deg2rad(0.4)
 _COARSEST_RAD = np.deg2rad(4.0)
 _FULL_TURN = 2.0 * np.pi

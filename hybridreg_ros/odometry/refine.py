@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -23,6 +24,12 @@ Basin = Literal['coarse', 'middle', 'fine']
 _POINT_SPREAD = 5.0
 """Standard deviation of a point-to-point residual, in voxels: such pairs follow the pattern of the
 rings rather than the surface, so they only hold what planes leave free."""
+
+
+_RANGE_GROUPS = 6
+_RANGE_GROUP = 100
+"""Points are grouped by range into at most so many groups of at least so many, each with a scale
+of its own: the noise of a depth camera grows with the square of the range."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +87,28 @@ class _Surfaces:
         if len(planes) == 0:
             return high
         return float(np.clip(1.4826 * np.median(planes), low, high))
+
+    def scales(self, order: NDArray[np.int64], low: float, high: float) -> NDArray[np.float64]:
+        """The same per point (N,), as it grows with the range: medians of groups by range.
+
+        Args:
+            order: (N,) rows of the points by range.
+            low: floor, metres.
+            high: ceiling, metres.
+        """
+        out = np.empty(len(order))
+        planes = order[self.kind[order] == align.PLANE]
+        if len(planes) < 2 * _RANGE_GROUP:
+            out.fill(self.scale(low, high))
+            return out
+        groups = min(_RANGE_GROUPS, len(planes) // _RANGE_GROUP)
+        ends = np.linspace(0, len(planes), groups + 1).astype(np.int64)
+        spread = [1.4826 * np.median(self.residual[planes[a:b]]) for a, b in pairwise(ends)]
+        place = np.empty(len(order))
+        place[order] = np.arange(len(order))
+        middles = [place[planes[(a + b) // 2]] for a, b in pairwise(ends)]
+        out[:] = np.interp(place, middles, spread)
+        return np.clip(out, low, high)
 
 
 def refine(
@@ -164,7 +193,8 @@ def assess(
     scale = surfaces.scale(config.min_scale * level.size_m, level.size_m)
     # Point-to-point pairs follow the sampling, not the scene: they say nothing about the error.
     planes = np.where(surfaces.kind == align.PLANE, trust, 0.0)
-    H, _, _, _ = _system(points, planes, T_odom_sensor, surfaces, scale, level)
+    scales = surfaces.scales(_by_range(points), config.min_scale * level.size_m, level.size_m)
+    H, _, _, _ = _system(points, planes, T_odom_sensor, surfaces, scales, level)
     usable = trust > 0.5
     paired = usable & (surfaces.kind != align.NONE)
     return Fit(
@@ -176,12 +206,17 @@ def assess(
     )
 
 
+def _by_range(points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Rows of the points (N, 3) by their range, nearest first."""
+    return np.argsort((points**2).sum(axis=1))
+
+
 def _system(
     points: NDArray[np.float64],
     trust: NDArray[np.float64],
     T: NDArray[np.float64],
     surfaces: _Surfaces,
-    scale: float,
+    scale: NDArray[np.float64],
     level: VoxelLevel,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float]:
     """Gauss-Newton system of the robust cost at T."""
@@ -209,12 +244,14 @@ def _iterate(
     level = levels[0]
     surfaces = _Surfaces(len(points))
     reach = float(np.median(np.linalg.norm(points, axis=1))) if len(points) else 1.0
+    order = _by_range(points)
     for _ in range(config.max_iterations):
         surfaces.search(points, T, levels, update)
         moved = 0.0
         for _ in range(2):
             surfaces.measure(points, T)
-            scale = surfaces.scale(max(floor, config.min_scale) * level.size_m, level.size_m)
+            low = max(floor, config.min_scale) * level.size_m
+            scale = surfaces.scales(order, low, level.size_m)
             H, b, _, _ = _system(points, trust, T, surfaces, scale, level)
             step = _solve(H, b)
             T = T.copy()

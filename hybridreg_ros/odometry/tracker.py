@@ -17,6 +17,7 @@ from hybridreg_ros.odometry.keyframes import Keyframes
 from hybridreg_ros.odometry.learned import LearnedBranch
 from hybridreg_ros.odometry.localmap import LocalMap
 from hybridreg_ros.odometry.locator import Candidate, Located, Locator
+from hybridreg_ros.odometry.preprocess import certainty
 from hybridreg_ros.odometry.result import Reason, Source
 from hybridreg_ros.odometry.visibility import Sightings
 
@@ -91,7 +92,7 @@ class Tracker:
             None if registrar is None else LearnedBranch(registrar, config.keyframe.memory)
         )
         self._keyframes = Keyframes(config.keyframe, sensor.voxel_size_m)
-        self._sightings = Sightings(config.dynamics, sensor)
+        self._sightings = Sightings(sensor)
         self._dynamics = Dynamics(config.dynamics, sensor)
         self._locator = Locator(
             config, sensor, self._map, self._learned, self._keyframes, self._sightings
@@ -233,15 +234,16 @@ class Tracker:
         is_keyframe: bool,
     ) -> None:
         """Add the static points to the map; take out those that turned out to have moved."""
-        static = cloud.map_rows[dynamic[cloud.map_rows] < _STATIC_BELOW]
+        static = dynamic[cloud.map_rows] < _STATIC_BELOW
         if self._config.dynamics.enabled:
             gone = self._dynamics.vanished(image)
             if len(gone):
                 self._map.erase(gone)
             rows = cloud.icp_rows[dynamic[cloud.icp_rows] < _STATIC_BELOW]
             self._dynamics.remember(image, se3.apply(pose, cloud.points[rows]), stamp)
-        points = cloud.points[static].astype(np.float64)
-        self._map.update(se3.apply(pose, points), pose[:3, 3])
+        points = cloud.means[static].astype(np.float64)
+        weights = certainty(points, self.sensor)
+        self._map.update(se3.apply(pose, points), pose[:3, 3], weights)
         self._sightings.keep(image, is_keyframe)
 
     def _estimate(

@@ -13,24 +13,23 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from hybridreg_ros.odometry.config import DynamicsConfig
     from hybridreg_ros.odometry.preprocess import Cloud, SensorModel
 
 _ENOUGH_SEEN = 0.4
+_SLACK, _SLACK_SHARE = 0.25, 0.0075
+"""How far a point may be off a seen surface and still be on it: voxels, and share of the range."""
 
 
 class Sightings:
     """Range images of the last accepted scan and of the newest keyframe.
 
     Args:
-        config: tolerances of the comparison, halved here: a scan as a whole must agree better than
-            a single point of it.
         sensor: kind and voxel size.
     """
 
-    def __init__(self, config: DynamicsConfig, sensor: SensorModel) -> None:
-        self._slack_m = 0.5 * config.tolerance * sensor.voxel_size_m
-        self._slack_share = 0.5 * config.tolerance_share
+    def __init__(self, sensor: SensorModel) -> None:
+        self._slack_m = _SLACK * sensor.voxel_size_m
+        self._slack_share = _SLACK_SHARE
         self._kind = sensor.kind
         self._view: View | None = None
         self._last: RangeImage | None = None

@@ -21,6 +21,7 @@ class Grid(NamedTuple):
         keys: (V,) int64 key of each voxel.
         counts: (V,) int32 points in each voxel.
         store: (V, K, 3) float32 those points, map frame, metres.
+        mass: (V, K) float32, sum of the weights of what each is the mean of, at most MOST_MASS.
         surface: (V, K, 5) float32 unit normal, offset of the surface along it, variance across it.
         kind: (V, K) int8, POINT or PLANE once fitted.
         fitted: (V, K) int32, update after which the surface was fitted, 0 = not yet.
@@ -33,6 +34,7 @@ class Grid(NamedTuple):
     keys: NDArray[np.int64]
     counts: NDArray[np.int32]
     store: NDArray[np.float32]
+    mass: NDArray[np.float32]
     surface: NDArray[np.float32]
     kind: NDArray[np.int8]
     fitted: NDArray[np.int32]
@@ -42,6 +44,8 @@ class Grid(NamedTuple):
 HALF_SPAN = 1 << 20
 """Voxel indices must lie in (-HALF_SPAN, HALF_SPAN): 21 bits per axis in one int64 key."""
 EMPTY = -1
+MOST_MASS = 30.0
+"""Cap of the mass of a stored point, in measurements of weight 1: so the map can still follow."""
 
 _jit = numba.njit(cache=True, nogil=True)
 
@@ -59,6 +63,15 @@ def voxel_key(x, y, z, inverse_size):  # type: ignore[no-untyped-def]
 
 
 @_jit
+def empty_table(count):  # type: ignore[no-untyped-def]
+    """Keys (C,) int64, all `EMPTY`, and values (C,) int32 of a hash table for `count` entries."""
+    capacity = 16
+    while capacity < 2 * count:
+        capacity *= 2
+    return np.full(capacity, EMPTY, np.int64), np.zeros(capacity, np.int32)
+
+
+@_jit
 def find_slot(table, key):  # type: ignore[no-untyped-def]
     """Slot of a key in the open-addressing table (C,), or the free slot where it belongs."""
     mask = len(table) - 1
@@ -69,34 +82,16 @@ def find_slot(table, key):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def first_per_voxel(points, size):  # type: ignore[no-untyped-def]
-    """Rows of the first point (N, 3) in each voxel, in the order of the points; (M,) int64."""
-    n = len(points)
-    capacity = 16
-    while capacity < 2 * n:
-        capacity *= 2
-    table = np.full(capacity, EMPTY, np.int64)
-    rows = np.empty(n, np.int64)
-    found = 0
-    inverse = 1.0 / size
-    for row in range(n):
-        key = voxel_key(points[row, 0], points[row, 1], points[row, 2], inverse)
-        if key == EMPTY:
-            continue
-        slot = find_slot(table, key)
-        if table[slot] == EMPTY:
-            table[slot] = key
-            rows[found] = row
-            found += 1
-    return rows[:found].copy()
+def insert(points, weights, spacing_sq, grid, used):  # type: ignore[no-untyped-def]
+    """Add points (N, 3) to the grid; where one is stored already, that one becomes a mean.
 
-
-@_jit
-def insert(points, spacing_sq, grid, used):  # type: ignore[no-untyped-def]
-    """Add points (N, 3) to the grid where a voxel has room and no point nearer than the spacing.
+    A point joins the nearest stored one of its voxel when it is nearer than the spacing, or than
+    twice the spacing when the voxel is full. A stored point so becomes the weighted mean of what
+    was measured around it, and the noise of single scans goes out of the map.
 
     Args:
         points: (N, 3) float, map frame.
+        weights: (N,) of each point in a mean.
         spacing_sq: smallest squared distance between two points of one voxel.
         grid: the level.
         used: voxels in use.
@@ -122,20 +117,27 @@ def insert(points, spacing_sq, grid, used):  # type: ignore[no-untyped-def]
             used += 1
         voxel = grid.slots[slot]
         count = grid.counts[voxel]
-        if count >= grid.store.shape[1]:
-            continue
-        near = False
+        best, place = np.inf, 0
         for i in range(count):
             dx = grid.store[voxel, i, 0] - x
             dy = grid.store[voxel, i, 1] - y
             dz = grid.store[voxel, i, 2] - z
-            if dx * dx + dy * dy + dz * dz < spacing_sq:
-                near = True
-                break
-        if not near:
+            d = dx * dx + dy * dy + dz * dz
+            if d < best:
+                best, place = d, i
+        full = count >= grid.store.shape[1]
+        if best < (4.0 if full else 1.0) * spacing_sq:
+            mass = grid.mass[voxel, place]
+            share = weights[row] / (mass + weights[row])
+            grid.store[voxel, place, 0] += share * (x - grid.store[voxel, place, 0])
+            grid.store[voxel, place, 1] += share * (y - grid.store[voxel, place, 1])
+            grid.store[voxel, place, 2] += share * (z - grid.store[voxel, place, 2])
+            grid.mass[voxel, place] = min(mass + weights[row], MOST_MASS)
+        elif not full:
             grid.store[voxel, count, 0] = x
             grid.store[voxel, count, 1] = y
             grid.store[voxel, count, 2] = z
+            grid.mass[voxel, count] = weights[row]
             grid.fitted[voxel, count] = 0
             grid.counts[voxel] = count + 1
     return used, len(points)
@@ -158,6 +160,7 @@ def keep_near(centre, reach_sq, grid, used):  # type: ignore[no-untyped-def]
             grid.keys[kept] = grid.keys[voxel]
             grid.counts[kept] = grid.counts[voxel]
             grid.store[kept] = grid.store[voxel]
+            grid.mass[kept] = grid.mass[voxel]
             grid.surface[kept] = grid.surface[voxel]
             grid.kind[kept] = grid.kind[voxel]
             grid.fitted[kept] = grid.fitted[voxel]
@@ -191,6 +194,7 @@ def erase_near(points, reach_sq, grid):  # type: ignore[no-untyped-def]
             if dx * dx + dy * dy + dz * dz <= reach_sq:
                 grid.counts[voxel] -= 1
                 grid.store[voxel, i] = grid.store[voxel, grid.counts[voxel]]
+                grid.mass[voxel, i] = grid.mass[voxel, grid.counts[voxel]]
                 grid.fitted[voxel, i] = 0
                 removed += 1
             else:

@@ -21,8 +21,12 @@ if TYPE_CHECKING:
 
     from hybridreg_ros.core.scan import Scan
 
-RIVAL_VOXEL_M = {'depth': 0.1, 'lidar': 0.3}
-"""Voxel edge that suits the rivals, metres: the best of a sweep (docs/results.md), better than
+RIVAL_VOXEL_M = {
+    'kiss-icp': {'depth': 0.1, 'lidar': 0.3},
+    'genz-icp': {'depth': 0.06, 'lidar': 0.3},
+    'small-gicp': {'depth': 0.1, 'lidar': 0.3},
+}
+"""Voxel edge that suits each rival, metres: the best of a sweep (docs/odometry.md), better than
 kiss-icp's own rule, a hundredth of the maximum range (0.08 and 1 m)."""
 
 
@@ -43,7 +47,7 @@ class Alone:
 
     Args:
         name: kiss-icp, genz-icp or small-gicp.
-        voxel_size_m: its voxel size, None = RIVAL_VOXEL_M of the kind of sensor.
+        voxel_size_m: its voxel size, None = RIVAL_VOXEL_M of the rival and the sensor.
 
     Raises:
         ConfigError: no such rival.
@@ -78,7 +82,7 @@ class Alone:
         )
 
     def _build(self, sensor: SensorModel) -> _Pipeline:
-        voxel = self._voxel_size_m or RIVAL_VOXEL_M[sensor.kind]
+        voxel = self._voxel_size_m or RIVAL_VOXEL_M[self._name][sensor.kind]
         if self._name == 'kiss-icp':
             return PlainKissIcp(voxel, sensor.max_range_m, sensor.min_range_m)
         if self._name == 'genz-icp':

@@ -30,7 +30,7 @@ def _figure(width: float, height: float) -> Any:
 
 
 def write_plots(cells: Sequence[Cell], folder: Path) -> list[Path]:
-    """Two pictures per suite that has cells: trajectories, and what the confidence is worth.
+    """Pictures per suite that has cells: trajectories, what the confidence is worth, masks.
 
     Args:
         cells: what `suite_run.run_cell` made.
@@ -49,7 +49,29 @@ def write_plots(cells: Sequence[Cell], folder: Path) -> list[Path]:
         _trajectories([c for c in mine if c['stride'] == 1], suite).savefig(paths[0], dpi=80)
         _confidence([c for c in mine if c['method'] == 'ours'], suite).savefig(paths[1], dpi=80)
         written += paths
+        seen = [c for c in mine if c['method'] == 'ours' and c['stride'] == 1 and c.get('views')]
+        if seen:
+            written.append(folder / f'{suite}_masks.png')
+            _masks(seen, suite).savefig(written[-1], dpi=80)
     return written
+
+
+def _masks(cells: Sequence[Cell], suite: str) -> Any:
+    """The middle frame of each sequence as the sensor sees it, with what is called moving."""
+    rows = max(1, -(-len(cells) // _COLUMNS))
+    figure = _figure(3.2 * _COLUMNS, 2.6 * rows)
+    figure.suptitle(
+        f'{suite}: called moving (green: it does, red: it does not), missed (blue); degrees'
+    )
+    colours = np.array(['0.75', 'C3', 'C0', 'C2'])
+    for number, cell in enumerate(cells):
+        axes = figure.add_subplot(rows, _COLUMNS, number + 1)
+        frame, points = next(iter(cell['views'].items()))
+        across, up, kind = np.array(points).T
+        axes.scatter(across, up, s=1, c=colours[kind.astype(np.int64)], linewidths=0)
+        axes.set_title(f'{cell["sequence"]["name"]}, frame {frame}', fontsize=9)
+        axes.tick_params(labelsize=7)
+    return figure
 
 
 def _trajectories(cells: Sequence[Cell], suite: str) -> Any:

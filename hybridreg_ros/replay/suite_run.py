@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
 VERSION = 1
 """Of the layout and meaning of a cell; a cell of another version is made anew."""
+_VIEW_POINTS = 6000
 _INSTANTS = (0.0, 0.5, 1.0)
 _RIVAL_PACKAGES = {'kiss-icp': 'kiss-icp', 'genz-icp': 'genz-icp', 'small-gicp': 'small_gicp'}
 
@@ -67,7 +68,7 @@ def fingerprint(method: str, base: OdometryConfig, weights: Path | None) -> dict
     """
     if method in _RIVAL_PACKAGES:
         package = _RIVAL_PACKAGES[method]
-        return {'package': f'{package} {version(package)}', 'voxel_m': dict(RIVAL_VOXEL_M)}
+        return {'package': f'{package} {version(package)}', 'voxel_m': dict(RIVAL_VOXEL_M[method])}
     text = json.dumps(to_dict(config_of(method, base)), sort_keys=True)
     found = {
         'config': hashlib.sha256(text.encode()).hexdigest()[:16],
@@ -118,7 +119,7 @@ def run_cell(
     """
     chosen = frames[::stride]
     ours = front_end(method, base, weights)
-    rows, poses = [], []
+    rows, poses, views = [], [], {}
     threshold = base.dynamics.threshold
     for frame in chosen:
         wall, cpu = time.perf_counter(), time.process_time()
@@ -130,6 +131,8 @@ def run_cell(
         row['cpu_ms'] = 1e3 * (time.process_time() - cpu)
         rows.append(row)
         poses.append(result.pose)
+        if len(rows) - 1 in (len(chosen) // 2, len(chosen) - 1) and method not in _RIVAL_PACKAGES:
+            views[str(len(rows) - 1)] = _view(frame, result, threshold)
     truth = np.array([f.T_world_sensor for f in chosen])
     estimate = np.array(poses)
     instant = 0.0
@@ -144,12 +147,30 @@ def run_cell(
         'instant': instant,
         'scores': _scores(estimate, truth, rows, sequence),
         'frames': rows,
+        'views': views,
         'trajectory': {
             'estimate': aligned(estimate, truth)[:, :3, 3].round(4).tolist(),
             'truth': truth[:, :3, 3].round(4).tolist(),
         },
         'provenance': collect().to_dict(),
     }
+
+
+def _view(frame: SuiteFrame, result: OdometryResult, threshold: float) -> list[list[float]]:
+    """Some points of a frame seen from the sensor: two angles, degrees, and class.
+
+    The class is 1 for a point called moving plus 2 for one that truly moves.
+    """
+    rows = np.arange(0, len(frame.scan), max(1, len(frame.scan) // _VIEW_POINTS))
+    x, y, z = frame.scan.points[rows].astype(np.float64).T
+    forward_z = float(np.median(z)) > float(np.median(np.hypot(x, y)))
+    across = np.arctan2(x, z) if forward_z else -np.arctan2(y, x)
+    up = np.arctan2(-y, np.hypot(x, z)) if forward_z else np.arctan2(z, np.hypot(x, y))
+    kind = (result.dynamic_probability[rows] >= threshold).astype(np.int64)
+    if frame.moving is not None:
+        kind += 2 * frame.moving[rows]
+    angles = np.rad2deg(np.stack([across, up], axis=1)).round(2)
+    return [[float(a), float(b), int(k)] for (a, b), k in zip(angles, kind, strict=True)]
 
 
 def _row(frame: SuiteFrame, result: OdometryResult, threshold: float) -> dict[str, Any]:

@@ -48,6 +48,8 @@ SIGNS = {
     'fit': 1.0,
     'intrusion': -1.0,
     'lead': 1.0,
+    'trusted': 1.0,
+    'resemblance': 1.0,
 }
 """Features that the confidence is fitted to, and which way each must act; others weigh nothing."""
 GATE = 0.9

@@ -39,7 +39,7 @@ def ship(
         about: further provenance, such as a description of the data.
 
     Returns:
-        Scores of the pairs, judged with the fitted confidence's features.
+        Scores of the pairs with the fitted confidence (without its fading for few points).
 
     Raises:
         WeightsError: the checkpoint cannot be read.
@@ -63,7 +63,10 @@ def ship(
         calibration,
         half=True,
     )
-    return report
+    judged = tuple(
+        dataclasses.replace(s, confidence=calibration.logistic(s.features)) for s in report.scores
+    )
+    return dataclasses.replace(report, scores=judged)
 
 
 def _provenance(found: dict[str, Any]) -> dict[str, Any]:

@@ -15,14 +15,16 @@ from hybridreg_ros.core.errors import ConfigError
 from hybridreg_ros.core.se3 import apply
 from hybridreg_ros.data import streets_pairs
 from hybridreg_ros.data.hybridmatch import (
+    CROWD,
     SPLITS,
     cell_of,
     make_pair,
-    make_pairs,
     make_samples,
     parse_split,
     scene_of,
 )
+from hybridreg_ros.data.hybridmatch_world import make_world
+from hybridreg_ros.data.scene import Standing
 from hybridreg_ros.data.shards import encode_pair
 
 if TYPE_CHECKING:
@@ -80,6 +82,31 @@ def test_pairs_keep_the_limits_of_their_cell() -> None:
             np.testing.assert_array_equal(pair.source_label > 0, pair.source_instance > 0)
 
 
+def test_the_levels_of_a_scene_differ_in_what_moves_alone() -> None:
+    worlds = {}
+    for level in ('rigid', '10-30', '30-50'):
+        cell = cell_of(f'room-match-{level}')
+        rng = np.random.default_rng([SEED + 1, 1])
+        worlds[level] = make_world(rng, crowded=True, wanted=CROWD, cell=cell)
+    still, part, full = worlds.values()
+    assert still is not None
+    assert part is not None
+    assert full is not None
+    for world in (part, full):
+        np.testing.assert_array_equal(world.view.poses, still.view.poses)
+        np.testing.assert_array_equal(world.gone, still.gone)
+        np.testing.assert_array_equal(world.view.crowd[1], still.view.crowd[1])
+        assert world.camera.max_depth_m == still.camera.max_depth_m
+        assert world.displacement_m > 0.25
+    assert not still.view.dynamic.any()
+    np.testing.assert_array_equal(full.view.dynamic, full.view.crowd)
+    assert (part.view.dynamic <= part.view.crowd).all()
+    assert 0.0 < part.view.dynamic.mean() < 0.8 * part.view.crowd.mean()
+    standing = [isinstance(mover, Standing) for mover in part.caster.scene.movers]
+    assert any(standing)
+    assert not all(standing)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize('split', ['room-lomatch-30-50', 'room-match-30-50', 'room-lomatch-rigid'])
 def test_rare_cells_fill(split: str) -> None:
@@ -122,11 +149,10 @@ def test_views_of_a_scene_are_not_repeated() -> None:
 
 
 def test_the_training_mixture_names_its_cells() -> None:
-    pairs = make_pairs('room-train', SEED)
-    assert pairs
+    pairs = [sample.pair for sample in some('room-train')]
     names = [p.name for p in pairs]
     assert len(set(names)) == len(names)
-    assert all(n.startswith(f'room-{SEED:07d}-') for n in names)
+    assert all(p.name.startswith(f'room-{p.seed:07d}-') for p in pairs)
 
 
 def test_street_names_lead_to_streets(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ from hybridreg_ros.core.errors import DependencyError
 from hybridreg_ros.data.geometry import moved
 from hybridreg_ros.data.pair import Label
 from hybridreg_ros.data.raycast import CLOCK, Caster
-from hybridreg_ros.data.scene import Mesh, Scene, merge
+from hybridreg_ros.data.scene import Mesh, Scene, Standing, merge
 from hybridreg_ros.data.shapes import box, superquadric
 
 
@@ -123,3 +123,19 @@ def test_missing_embree_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, 'embreex.mesh_construction', None)
     with pytest.raises(DependencyError, match='needs embreex'):
         Caster(Scene(wall(1.0)))
+
+
+def test_what_is_halted_stands_and_belongs_to_the_background() -> None:
+    scene = Scene(wall(3.0), (Slider(), Slider()))
+    scene.movers[1].mesh_at = lambda time_s: moved(box([0.2, 0.2, 0.2]), [0.0, time_s, 1.0])
+    caster = Caster(scene).halted(np.array([False, True]), 0.5)
+    assert isinstance(caster.scene.movers[0], Standing)
+    assert caster.scene.movers[1] is scene.movers[1]
+    # At 0.8 s the first still stands at x = 0.5, the second has got to y = 0.8.
+    d = np.array([[0.5, 0.0, 0.9], [0.8, 0.0, 0.9], [0.0, 0.8, 0.9], [0.0, 0.5, 0.9]])
+    d = (d / np.linalg.norm(d, axis=1, keepdims=True)).astype(np.float32)
+    trace = caster.trace(0.8, np.zeros(3, np.float32), d)
+    assert trace.instance.tolist() == [1, 0, 2, 0]
+    assert caster.labels(trace.instance).tolist() == [0, 0, int(Label.MOVING_RIGID), 0]
+    whole = Caster(scene).trace(0.8, np.zeros(3, np.float32), d)
+    assert whole.instance.tolist() == [0, 1, 2, 0], 'the scene itself is as before'

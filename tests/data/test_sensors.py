@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hybridreg_ros.data.geometry import moved
+from hybridreg_ros.data.geometry import look_at, moved
 from hybridreg_ros.data.raycast import Caster
 from hybridreg_ros.data.scene import Mesh, Scene, merge
-from hybridreg_ros.data.sensors import DepthCamera, DepthImage, DepthNoise, look_at, random_camera
+from hybridreg_ros.data.sensors import DepthCamera, DepthImage, DepthNoise, random_camera
 
 PERFECT = DepthCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
 LARGE = DepthCamera(160, 120, 150.0, 150.0, 79.5, 59.5)
@@ -156,3 +156,6 @@ def test_look_at_points_the_axis_and_keeps_the_horizon() -> None:
     assert T[2, 1] < 0.0, 'y points down'
     down = look_at(eye, eye - [0.0, 0.0, 1.0])
     np.testing.assert_allclose(down[:3, 2], [0.0, 0.0, -1.0], atol=1e-12)
+    many = look_at(np.stack([eye, eye]), np.stack([target, eye - [0.0, 0.0, 1.0]]), [0.0, 0.0])
+    np.testing.assert_array_equal(many, np.stack([T, down]))
+    assert look_at(eye, target, 0.3)[2, 0] != pytest.approx(0.0, abs=1e-3)

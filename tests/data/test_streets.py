@@ -11,8 +11,10 @@ from hybridreg_ros.core.errors import ConfigError
 from hybridreg_ros.core.se3 import apply, is_rigid
 from hybridreg_ros.data.clouds_overlap import near_cells
 from hybridreg_ros.data.hybridmatch_take import Cell
+from hybridreg_ros.data.raycast import Caster
+from hybridreg_ros.data.scene import Standing
 from hybridreg_ros.data.streets import KINDS, make_street
-from hybridreg_ros.data.streets_pairs import street_cell, street_pair
+from hybridreg_ros.data.streets_pairs import _with_some_moving, street_cell, street_pair
 from hybridreg_ros.data.streets_traffic import Accompanying
 from hybridreg_ros.data.vehicles import KINDS as VEHICLES
 from hybridreg_ros.data.vehicles import cart, make_vehicle
@@ -110,6 +112,22 @@ def test_unknown_vehicles_are_refused():
     assert len(cart(np.random.default_rng(0)).faces) > 50
 
 
+def test_as_much_moves_as_the_cell_asks_for(world):
+    caster = Caster(world.scene)
+    crowd = (0.3, 0.5)
+    standing = {}
+    for name, cell in {
+        'rigid': Cell((0.3, 0.9), crowd=crowd, frozen=True),
+        '10-30': Cell((0.3, 0.9), (0.1, 0.3), crowd),
+        '30-50': Cell((0.3, 0.9), (0.3, 0.5), crowd),
+    }.items():
+        chosen = _with_some_moving(np.random.default_rng(3), caster, cell, (1.0, 4.0))
+        standing[name] = sum(isinstance(m, Standing) for m in chosen.scene.movers)
+    assert standing['rigid'] == len(world.scene.movers)
+    assert 0 < standing['10-30'] < len(world.scene.movers)
+    assert standing['30-50'] == 0
+
+
 @pytest.mark.slow
 def test_pairs_suit_their_cell_and_static_points_meet():
     cell = Cell((0.3, 0.98), (0.1, 0.3))
@@ -120,7 +138,7 @@ def test_pairs_suit_their_cell_and_static_points_meet():
         assert 0.3 < pair.overlap < 0.98
         assert 0.1 <= pair.dynamic_share <= 0.3
         assert sample.still is not None
-        assert 900 <= len(pair.source) <= 15000
+        assert 1500 <= len(pair.source) <= 15000
         moved = apply(pair.T_target_source, pair.source[pair.source_label == 0].astype(float))
         near = near_cells(moved, pair.target[pair.target_label == 0].astype(float), 0.3)
         assert abs(near.mean() - pair.overlap) < 0.08

@@ -155,5 +155,5 @@ def test_packaged_weights_are_one_or_said_to_be_none(
 
 
 def test_calibration_checks_its_length() -> None:
-    with pytest.raises(ConfigError, match='weights: expected 13 numbers, found 2'):
+    with pytest.raises(ConfigError, match='weights: expected 15 numbers, found 2'):
         Calibration(weights=(1.0, 2.0))

@@ -56,11 +56,11 @@ def test_neighbour_max_keeps_negative_values() -> None:
 @pytest.mark.parametrize('angles', [0, 3])
 def test_lookup_equals_gather(angles: int) -> None:
     torch.manual_seed(0)
-    table = torch.randn(11, 2, 30, requires_grad=True)
+    table = torch.randn(2, 11, 30, requires_grad=True)
     bins = torch.randint(0, 30, (11, 11, 1 + angles), dtype=torch.int16)
     got = lookup_scores(table, bins)
     n = torch.arange(11)[:, None, None]
-    values = table.permute(1, 0, 2)[:, n, bins.long()]
+    values = table[:, n, bins.long()]
     expected = values[..., 0] + (values[..., 1:].mean(-1) if angles else 0.0)
     torch.testing.assert_close(got, expected)
     upstream = torch.from_numpy(np.random.default_rng(0).normal(size=got.shape)).float()

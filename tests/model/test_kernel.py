@@ -9,7 +9,7 @@ import torch
 
 from hybridreg_ros.model.backbone import KPConv
 from hybridreg_ros.model.kernel import KernelOperator, aggregate, kernel_operator, kernel_points
-from hybridreg_ros.model.ops import CellList
+from hybridreg_ros.model.neighbours import CellList
 
 
 def _operator(

@@ -10,13 +10,14 @@ from scipy.spatial import cKDTree
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.model import ops
+from hybridreg_ros.model.neighbours import CellList
 
 
 @pytest.mark.parametrize(('radius', 'cell'), [(0.3, 0.3), (0.7, 0.3), (0.2, 0.5)])
 def test_radius_search_equals_kdtree(rng: np.random.Generator, radius: float, cell: float) -> None:
     points = rng.uniform(-2, 2, (800, 3)).astype(np.float32)
     queries = rng.uniform(-2.5, 2.5, (100, 3)).astype(np.float32)
-    found = ops.CellList.build(points, cell).search(queries, radius, 12)
+    found = CellList.build(points, cell).search(queries, radius, 12)
     distance, index = cKDTree(points).query(queries, k=12, distance_upper_bound=radius)
     expected = np.where(np.isfinite(distance), index, len(points))
     np.testing.assert_array_equal(found, expected)
@@ -25,7 +26,7 @@ def test_radius_search_equals_kdtree(rng: np.random.Generator, radius: float, ce
 def test_radius_search_far_query_finds_nothing() -> None:
     points = np.zeros((3, 3), np.float32)
     queries = np.array([[9, 9, 9], [-9, 0, 0], [0.1, 0, 0]], np.float32)
-    found = ops.CellList.build(points, 1.0).search(queries, 1.0, 2)
+    found = CellList.build(points, 1.0).search(queries, 1.0, 2)
     np.testing.assert_array_equal(found, [[3, 3], [3, 3], [0, 1]])
 
 

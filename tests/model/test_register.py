@@ -13,8 +13,8 @@ from hybridreg_ros import HybridReg
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.model.confidence import Calibration, ConfidenceFeatures
+from hybridreg_ros.model.neighbours import CellList
 from hybridreg_ros.model.normals import surface_normals
-from hybridreg_ros.model.ops import CellList
 from hybridreg_ros.model.posterior import posterior_sigma2
 from hybridreg_ros.model.refine import refine
 from hybridreg_ros.model.views import View

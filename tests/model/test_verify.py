@@ -16,8 +16,8 @@ from hybridreg_ros.model.config import ModelConfig
 from hybridreg_ros.model.estimators import PointMatches, lgr
 from hybridreg_ros.model.grid import Grid
 from hybridreg_ros.model.hypotheses import Candidates, consistent_hypotheses, distinct
+from hybridreg_ros.model.neighbours import CellList
 from hybridreg_ros.model.normals import surface_normals
-from hybridreg_ros.model.ops import CellList
 from hybridreg_ros.model.polish import polished
 from hybridreg_ros.model.verify import Verified, propose, verify
 from hybridreg_ros.model.views import View, fits, intrusions

@@ -79,7 +79,7 @@ def log_assignments(
         column_mask: (P, L).
         dustbin: score of the dustbin row and column.
         rounds: Sinkhorn iterations.
-        masked: value of the entries that are not real.
+        masked: value of the entries that are not real, or of a dustbin that has nothing to take.
 
     Returns:
         (P, K + 1, L + 1), the last row and column are the dustbins.
@@ -100,5 +100,6 @@ def log_assignments(
         u, v = np.log(u + _TINY), np.log(v + _TINY)
         for r in range(len(i)):
             for c in range(len(j)):
-                out[a, i[r], j[c]] = s[r, c] + u[r] + v[c]
+                if rows[r] > 0.0 and columns[c] > 0.0:
+                    out[a, i[r], j[c]] = s[r, c] + u[r] + v[c]
     return out

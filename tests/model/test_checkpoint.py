@@ -4,17 +4,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import pickle
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
 from hybridreg_ros.core.errors import ConfigError, WeightsError
 from hybridreg_ros.model import checkpoint
-from hybridreg_ros.model.confidence import Calibration
+from hybridreg_ros.model.confidence import Calibration, ConfidenceFeatures, feature_names
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -157,3 +159,12 @@ def test_packaged_weights_are_one_or_said_to_be_none(
 def test_calibration_checks_its_length() -> None:
     with pytest.raises(ConfigError, match='weights: expected 15 numbers, found 2'):
         Calibration(weights=(1.0, 2.0))
+
+
+def test_logistic_model_alone_is_the_probability_of_a_well_held_result() -> None:
+    calibration = Calibration()
+    held = ConfidenceFeatures(log_inliers=4.0, overlap=0.5, constraint=0.2, support=1000)
+    assert calibration.logistic(held.vector()) == pytest.approx(calibration.probability(held))
+    loose = dataclasses.replace(held, support=15)
+    assert calibration.probability(loose) == pytest.approx(0.1 * calibration.probability(held))
+    assert calibration.logistic(np.full(len(feature_names()), np.nan)) == 0.0

@@ -76,3 +76,16 @@ def test_gradient_equals_finite_differences() -> None:
     full = torch.ones(2, 5, dtype=torch.bool)
     scores = torch.randn(2, 5, 5, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(lambda s: transport(s, full, full), scores, atol=1e-6)
+
+
+@pytest.mark.parametrize('scale', [1.0, 30.0, 300.0])
+def test_compiled_twin_without_gradient_gives_the_same(scale: float) -> None:
+    torch.manual_seed(0)
+    rows, columns = _masks()
+    rows[0], columns[1] = False, False  # nothing real on one side
+    transport, scores = Transport(20), scale * torch.randn(3, 8, 10)
+    with_gradient = transport(scores, rows, columns).detach()
+    with torch.no_grad():
+        compiled = transport(scores, rows, columns)
+    assert torch.equal(compiled == MASKED, with_gradient == MASKED)
+    torch.testing.assert_close(compiled.exp(), with_gradient.exp(), atol=1e-4, rtol=1e-4)

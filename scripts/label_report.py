@@ -32,16 +32,20 @@ def measure(split: str, pairs: int, keep: Path) -> list[dict[str, Any]]:
 
     keep.mkdir(parents=True, exist_ok=True)
     path = keep / f'labels_{split}.jsonl'
-    if path.exists():
-        found = [json.loads(line) for line in path.read_text('utf-8').splitlines()]
-        if len(found) >= pairs:
-            return found[:pairs]
-    found, seed = [], first_seed('test', split)
+    text = path.read_text('utf-8') if path.exists() else ''
+    found: list[dict[str, Any]] = [json.loads(line) for line in text.splitlines()]
+    seed = first_seed('test', split)
+    if found:  # whole scenes are kept, in order; names end in scene and pair
+        seed = int(found[-1]['name'].split('-')[-2]) + 1
     while len(found) < pairs:
-        for sample in make_samples(split, seed):
-            found.append({'name': sample.pair.name, **asdict(check_labels(sample))})
+        new = [
+            {'name': sample.pair.name, **asdict(check_labels(sample))}
+            for sample in make_samples(split, seed)
+        ]
+        with path.open('a', encoding='utf-8') as stream:
+            stream.write(''.join(json.dumps(row) + '\n' for row in new))
+        found += new
         seed += 1
-    path.write_text(''.join(json.dumps(f) + '\n' for f in found), encoding='utf-8')
     return found[:pairs]
 
 

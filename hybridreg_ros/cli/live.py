@@ -97,6 +97,7 @@ def replay_live(job: session.Job, options: LiveOptions) -> ReportRun:
                 on_odom,
                 recorder.on_dynamic,
                 recorder.on_static,
+                recorder.on_frame,
                 rate=options.rate,
                 domain_id=options.domain_id,
                 timeout_s=options.timeout_s,

@@ -151,13 +151,15 @@ def voxel_thin(points: NDArray[np.float32], voxel_m: float) -> NDArray[np.int64]
     """
     if len(points) == 0:
         return np.zeros(0, np.int64)
-    cell = np.floor(points / voxel_m).astype(np.int64)
-    cell -= cell.min(0)
-    extent = cell.max(0) + 1
-    key = (cell[:, 2] * extent[1] + cell[:, 1]) * extent[0] + cell[:, 0]
+    key = np.zeros(len(points), np.int64)
+    for axis in (2, 1, 0):
+        cell = np.floor(points[:, axis] / voxel_m).astype(np.int64)
+        cell -= cell.min()
+        key = key * (cell.max() + 1) + cell
     # Sorting keys that carry their row is several times faster than sorting rows by key.
     count = len(points)
     tagged = np.sort(key * count + np.arange(count))
     voxel = tagged // count
-    first: NDArray[np.int64] = tagged[np.flatnonzero(np.diff(voxel, prepend=-1))] % count
+    begins = np.append(True, voxel[1:] != voxel[:-1])
+    first: NDArray[np.int64] = tagged[begins] % count
     return first

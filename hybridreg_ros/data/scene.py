@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -74,6 +75,10 @@ class Standing:
 
     def mesh_at(self, time_s: float) -> Mesh:
         """The same triangles at every time."""
+        return self._mesh
+
+    @cached_property
+    def _mesh(self) -> Mesh:
         return self.mover.mesh_at(self.since_s)
 
 

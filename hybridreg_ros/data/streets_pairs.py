@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -65,11 +66,18 @@ class _View:
     T_world_sensor: F64
     time_s: float
 
-    def rows(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> _View:
+    def rows(self, keep: NDArray[np.int64]) -> _View:
         """The view of some points."""
         return _View(self.points[keep], self.true[keep], self.label[keep], self.instance[keep],
                      self.crowd[keep], self.plane[keep], self.sigma_m[keep],
                      self.T_world_sensor, self.time_s)  # fmt: skip
+
+    @cached_property
+    def polar(self) -> tuple[F32, F32]:
+        """Distance (N,) from the sensor's axis, metres, and angle (N,) off straight ahead."""
+        x, y = self.points[:, 0], self.points[:, 1]
+        off: F32 = np.abs((np.arctan2(y, x) + np.pi) % (2.0 * np.pi) - np.pi)
+        return np.hypot(x, y), off
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,27 +87,27 @@ class _Crop:
     Attributes:
         range_m: farthest point.
         drop: numbers of the flat parts that are removed.
-        sector: centre and half width of the azimuth that is kept, radians.
+        sector: half width of the azimuth that is kept, about straight ahead, radians.
         thin_m: voxel of the thinned clouds.
     """
 
     range_m: float
     drop: NDArray[np.int32]
-    sector: tuple[float, float]
+    sector: float
     thin_m: float
 
     def of(self, view: _View) -> _View:
         """The kept and thinned points of a view."""
-        x, y = view.points[:, 0], view.points[:, 1]
-        off = np.abs((np.arctan2(y, x) - self.sector[0] + np.pi) % (2.0 * np.pi) - np.pi)
-        near = np.hypot(x, y) < self.range_m
-        kept = view.rows(near & (off < self.sector[1]) & ~np.isin(view.plane, self.drop))
-        voxel = self.thin_m
-        thin = voxel_thin(kept.points, voxel)
+        away, off = view.polar
+        stays = np.ones(max(view.plane.max(initial=0), self.drop.max(initial=0)) + 1, np.bool_)
+        stays[self.drop] = False
+        rows = np.flatnonzero((away < self.range_m) & (off < self.sector) & stays[view.plane])
+        points, voxel = view.points[rows], self.thin_m
+        thin = voxel_thin(points, voxel)
         while len(thin) > _MAX_POINTS:
             voxel *= max(1.1, float(np.sqrt(len(thin) / _MAX_POINTS)))
-            thin = voxel_thin(kept.points, voxel)
-        return kept.rows(thin)
+            thin = voxel_thin(points, voxel)
+        return view.rows(rows[thin])
 
 
 def street_pair(seed: int, cell: Cell) -> PointPair | None:
@@ -239,8 +247,10 @@ def _fit(
             chance = np.where(planes == 1, 0.85, 0.7) * (0.3 if whole else 1.0)
             drop = planes[(planes > 0) & (rng.random(len(planes)) < chance)]
             wide = np.pi if rng.random() < 0.7 else float(rng.uniform(0.9, 2.4))
-            crop = _Crop(float(far), drop, (0.0, wide), thin)
+            crop = _Crop(float(far), drop, wide, thin)
             mine = crop.of(source)
+            if len(mine.points) < _MIN_POINTS:
+                continue
             made = _measure(mine, crop.of(target), T, cell)
             if made is not None:
                 return made[0], crop, mine.sigma_m, made[1]

@@ -9,6 +9,7 @@ table; and q . (W r) = (q W) . r, so a query meets the table once and then only 
 from __future__ import annotations
 
 import math
+from operator import is_not
 from typing import TYPE_CHECKING
 
 import torch
@@ -18,6 +19,8 @@ from torch.nn import functional
 from hybridreg_ros.model.fused import lookup_scores
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from hybridreg_ros.model.config import ModelConfig
 
     Tensor = torch.Tensor
@@ -28,6 +31,27 @@ def sinusoids(values: Tensor, dim: int) -> Tensor:
     half = torch.arange(0, dim, 2, dtype=torch.float32, device=values.device)
     phase = values[:, None] * torch.exp(half * (-math.log(10_000.0) / dim))
     return torch.stack([torch.sin(phase), torch.cos(phase)], dim=2).flatten(1)
+
+
+class _Kept:
+    """A tensor that depends on others alone, made again only when one of them has changed.
+
+    With gradients it is made anew every time. Changes through `.data` go unseen, as they do for
+    autograd.
+    """
+
+    def __init__(self) -> None:
+        self.made: tuple[tuple[Tensor, ...], list[int], Tensor] | None = None
+
+    def get(self, make: Callable[[], Tensor], *of: Tensor) -> Tensor:
+        """What `make` returns, or returned for the same tensors `of` in their present version."""
+        if torch.is_grad_enabled() or any(x.is_inference() for x in of):
+            return make()
+        versions, made = [x._version for x in of], self.made
+        if made is None or versions != made[1] or any(map(is_not, of, made[0])):
+            with torch.inference_mode(False), torch.no_grad():
+                self.made = made = of, versions, make()
+        return made[2]
 
 
 class GeometryTable(nn.Module):
@@ -44,9 +68,14 @@ class GeometryTable(nn.Module):
         self.distance_bins = config.distance_bins
         self.distance = nn.Linear(config.dim, config.dim)
         self.angle = nn.Linear(config.dim, config.dim, bias=False)
+        self._kept = _Kept()
 
     def forward(self) -> Tensor:
         """(B, dim) embedding of every bin."""
+        of = self.sinusoid, self.distance.weight, self.distance.bias, self.angle.weight
+        return self._kept.get(self._embedded, *of)
+
+    def _embedded(self) -> Tensor:
         d, a = self.sinusoid[: self.distance_bins], self.sinusoid[self.distance_bins :]
         return torch.cat([self.distance(d), self.angle(a)])
 
@@ -111,6 +140,7 @@ class SelfLayer(_Attention):
         self.distance_bins = config.distance_bins
         # Without bias: a bias adds the same number to all scores of a query (softmax drops it).
         self.position = nn.Linear(config.dim, config.dim, bias=False)
+        self._kept = _Kept()
 
     def forward(self, x: Tensor, table: Tensor, bins: Tensor) -> Tensor:
         """One layer.
@@ -152,7 +182,8 @@ class SelfLayer(_Attention):
             rows = table[bins.long()]
             embedded = rows[:, :, 0] + rows[:, :, 1:].amax(dim=2)
             return torch.einsum('hnc,nmc->hnm', torch.bmm(q, W), embedded)
-        per_row = torch.matmul(W, table.t())  # (heads, width, B)
+        # (heads, width, B)
+        per_row = self._kept.get(lambda: torch.matmul(W, table.t()), self.position.weight, table)
         return lookup_scores(torch.bmm(q, per_row), bins)
 
     def plain_scores(self, q: Tensor, table: Tensor, bins: Tensor) -> Tensor:

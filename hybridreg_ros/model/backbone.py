@@ -11,7 +11,7 @@ import torch
 from torch import nn
 
 from hybridreg_ros.model.fused import group_norm_act, neighbour_max
-from hybridreg_ros.model.kernel import KernelOperator, aggregate
+from hybridreg_ros.model.kernel import KernelOperator, aggregate, influence_sums
 
 if TYPE_CHECKING:
     from hybridreg_ros.model.config import ModelConfig
@@ -119,8 +119,7 @@ class Backbone(nn.Module):
             (F, fine_dim) of the fine points and (S, widths[-1]) of the superpoints.
         """
         levels = pyramid.levels
-        ones = self.stem.weight.new_ones(len(levels[0].points), 1)
-        x = self.stem_norm(self.stem(ones, levels[0].conv))
+        x = self.stem_norm(influence_sums(levels[0].conv) @ self.stem.weight)  # input: ones
         x = self.first(x, levels[0].conv)
         skips = [x]
         for i, (strided, blocks) in enumerate(zip(self.strided, self.stages, strict=True)):

@@ -52,8 +52,12 @@ class ModelConfig:
         'weight of a superpoint pair',
         choices=('confidence_product', 'variance_product'),
     )
+    mask_exponent: float = option(0.5, 'power to which that weight is raised', low=0.0, high=4.0)
     # superpoint and point matching
     top_pairs: int = option(64, 'superpoint pairs kept', low=1, high=1024)
+    pair_temperature: float = option(
+        0.05, 'of the correlation that ranks them; 0.5 in the paper', low=0.005, high=1.0
+    )
     dual_normalisation: bool = option(True, 'normalise the correlation over rows and columns')
     patch_size: int = option(32, 'fine points in a patch', low=4, high=256)
     patch_radius: float = option(12.0, 'reach of a patch from its superpoint, voxels', low=1.0)
@@ -114,6 +118,8 @@ class ModelConfig:
                 sigma_distance=6.67,
                 angle_reduction='max',
                 mask_outputs=1,
+                mask_exponent=1.0,
+                pair_temperature=0.5,
                 patch_size=64,
                 sinkhorn_iterations=100,
                 acceptance_radius=3.33,

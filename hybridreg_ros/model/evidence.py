@@ -13,6 +13,7 @@ from torch.nn import functional
 from hybridreg_ros.core import se3
 from hybridreg_ros.model.grid import cell_point, moved
 from hybridreg_ros.model.ops import compiled
+from hybridreg_ros.model.spread import spread_to_level0
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,30 +35,30 @@ class Evidence:
     """What the network knows of the points of a cloud when it has seen the other.
 
     Attributes:
-        trust: (N,) float32 of every finest point, P(static and seen by the other cloud), [0, 1].
+        sigma2: (N,) float32 of every finest point, P(moving, or not seen by the other cloud).
         owner: (N,) int64 fine point that holds each finest point.
         features: (F, C) float32 unit features of the fine points.
     """
 
-    trust: F32
+    sigma2: F32
     owner: I64
     features: F32
 
     @classmethod
     def of(cls, encoding: Encoding, sigma2: F32) -> Evidence:
-        """Evidence of an encoded cloud; sigma2: (N,) of every finest point."""
+        """Evidence of an encoded cloud; sigma2: (S,) float32 of every superpoint."""
         pyramid = encoding.pyramid
         owner = np.arange(len(pyramid.levels[0].points))
         for level in pyramid.levels[: pyramid.fine_level]:
             assert level.up_index is not None
             owner = level.up_index.cpu().numpy()[owner]
         features = functional.normalize(encoding.fine_features, dim=1).cpu().numpy()
-        return cls(np.float32(1.0) - sigma2, owner, features)
+        return cls(spread_to_level0(pyramid, sigma2), owner, features)
 
     @property
     def side(self) -> Side:
         """The evidence as compiled functions take it."""
-        return self.trust, self.owner, self.features
+        return np.float32(1.0) - self.sigma2, self.owner, self.features
 
 
 @compiled

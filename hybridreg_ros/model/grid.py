@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hybridreg_ros.model.ops import compiled
+from hybridreg_ros.model.ops import bounds, compiled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -106,9 +106,10 @@ class Grid:
         cells: a cloud that fills all of space must not fill the memory.
         """
         centre, half = np.median(points, axis=0).astype(np.float64), _HALF_EXTENT_VOXELS
+        first, last = bounds(points)
         while True:
-            low = np.maximum(points.min(axis=0) - 2.0 * cell, centre - half)
-            high = np.minimum(points.max(axis=0) + 3.0 * cell, centre + half)
+            low = np.maximum(first - 2.0 * cell, centre - half)
+            high = np.minimum(last + 3.0 * cell, centre + half)
             shape = np.ceil((high - low) / cell).astype(np.int64)
             if shape.prod() <= _MOST_CELLS:
                 break

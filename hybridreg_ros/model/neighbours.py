@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hybridreg_ros.model.ops import compiled
+from hybridreg_ros.model.ops import bounds, compiled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -179,7 +179,7 @@ class CellList:
     @classmethod
     def build(cls, points: F32, cell: float) -> CellList:
         """Sort points (N, 3) into cells of side `cell`; a search is fastest with radius = cell."""
-        low = points.min(axis=0).astype(np.float64)
+        low, _ = bounds(points)
         inverse = 1.0 / cell
         return cls(_build_cells(points, low, inverse), low, inverse)
 

@@ -64,6 +64,28 @@ def morton_keys(points: F32, inverse_size: float, shift: NDArray[np.float64]) ->
 
 
 @compiled
+def finite_rows(points: F32) -> NDArray[np.bool_]:
+    """Which points (N, 3) have no NaN or inf, (N,)."""
+    finite = np.empty(points.shape[0], np.bool_)
+    for i in range(points.shape[0]):
+        finite[i] = (
+            np.isfinite(points[i, 0]) and np.isfinite(points[i, 1]) and np.isfinite(points[i, 2])
+        )
+    return finite
+
+
+@compiled
+def bounds(points: F32) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Smallest and largest coordinate along each axis, (3,) each, of points (N, 3) without NaN."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for i in range(points.shape[0]):
+        for k in range(3):
+            low[k] = min(low[k], points[i, k])
+            high[k] = max(high[k], points[i, k])
+    return low, high
+
+
+@compiled
 def runs_of(sorted_keys: I64) -> I64:
     """First index of every run of equal keys, and the length of the array at the end."""
     n = sorted_keys.shape[0]

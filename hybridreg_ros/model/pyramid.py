@@ -147,7 +147,7 @@ def build_pyramid(
     points = np.ascontiguousarray(points_m, dtype=np.float32)
     if points.ndim != 2 or points.shape[1] != 3:
         raise RegistrationError(f'points: expected (N, 3), found {points.shape}')
-    finite = np.isfinite(points).all(axis=1)
+    finite = ops.finite_rows(points)
     grids, owner, origin = _grids(points[finite], voxel_size_m, config)
     input_to_level0 = np.full(len(points), -1, np.int32)
     input_to_level0[finite] = owner
@@ -188,7 +188,7 @@ def _grids(
         raise RegistrationError(
             f'expected at least {MIN_POINTS} finite points, found {len(points)}'
         )
-    low, high = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
+    low, high = ops.bounds(points)
     largest = float(np.abs([low, high]).max())
     extent = float((high - low).max())
     if largest > _MAX_COORDINATE_VOXELS * voxel_size_m or extent > (

@@ -22,7 +22,7 @@ from hybridreg_ros.model.network import Encoding, HybridRegNet
 from hybridreg_ros.model.posterior import posterior_sigma2
 from hybridreg_ros.model.pyramid import build_pyramid, metric_transform
 from hybridreg_ros.model.refine import refine
-from hybridreg_ros.model.spread import spread_to_level0, values_of_inputs
+from hybridreg_ros.model.spread import values_of_inputs
 from hybridreg_ros.model.verify import descriptor_matches, propose, verify, view_of
 from hybridreg_ros.model.voxel_size import choose_voxel_size_m
 
@@ -202,8 +202,9 @@ class HybridReg:
         start = time.perf_counter()
         clouds = _as_cloud(source), _as_cloud(target)
         voxel = choose_voxel_size_m(*clouds) if voxel_size_m is None else float(voxel_size_m)
-        with ThreadPoolExecutor(2) as pool:
-            encoded = list(pool.map(lambda c: self.encode(c, voxel), clouds))
+        with ThreadPoolExecutor(1) as beside:
+            second = beside.submit(self.encode, clouds[1], voxel)
+            encoded = self.encode(clouds[0], voxel), second.result()
         result = self.match(*encoded)
         timings = {
             **result.timings_s,
@@ -225,6 +226,7 @@ class HybridReg:
             with torch.no_grad():
                 found = self.net.match(source.encoding, target.encoding)
             middle = time.perf_counter()
+            evidence = beside.submit(_evidence, source, target, found)
             estimate, verified = found.estimate, None
             if proposed is not None:
                 matches, proposals = proposed.result()
@@ -232,9 +234,10 @@ class HybridReg:
                 estimate = judged(
                     verified.V_target_source, found.matches, self.config.acceptance_radius
                 )
-        chosen = time.perf_counter()
-        refined = refine(*views, estimate.V_target_source)
-        result = self._result(source, target, found, estimate, refined, verified)
+            chosen = time.perf_counter()
+            refined = refine(*views, estimate.V_target_source)
+            known = evidence.result()
+        result = self._result(source, target, found, estimate, refined, verified, known)
         end = time.perf_counter()
         timings = {
             'network': middle - start,
@@ -256,18 +259,17 @@ class HybridReg:
         estimate: PoseEstimate,
         refined: Refinement,
         verified: Verified | None,
+        evidence: tuple[Evidence, Evidence],
     ) -> RegistrationResult:
         """Everything that users get, without timings."""
         a, b = source.encoding.pyramid, target.encoding.pyramid
         V, views = refined.V_target_source, (source.view, target.view)
-        prior = spread_to_level0(a, found.source_sigma2), spread_to_level0(b, found.target_sigma2)
-        evidence = Evidence.of(source.encoding, prior[0]), Evidence.of(target.encoding, prior[1])
         trusted = trusted_fit(V, views, evidence)
         features = features_of(found, estimate, refined, verified, trusted)
         confidence = self.calibration.probability(features)
         sigma2 = (
-            posterior_sigma2(prior[0], *views, V, confidence),
-            posterior_sigma2(prior[1], *views[::-1], se3.inverse(V), confidence),
+            posterior_sigma2(evidence[0].sigma2, *views, V, confidence),
+            posterior_sigma2(evidence[1].sigma2, *views[::-1], se3.inverse(V), confidence),
         )
         return RegistrationResult(
             metric_transform(V, a, b),
@@ -286,6 +288,16 @@ def _proposals(source: EncodedCloud, target: EncodedCloud) -> tuple[Candidates, 
     """Descriptor matches of two clouds and the poses they suggest."""
     matches = descriptor_matches(source.encoding, target.encoding)
     return matches, propose(matches, (source.view, target.view))
+
+
+def _evidence(
+    source: EncodedCloud, target: EncodedCloud, found: MatchOutput
+) -> tuple[Evidence, Evidence]:
+    """What the network knows of the points of both clouds."""
+    return (
+        Evidence.of(source.encoding, found.source_sigma2),
+        Evidence.of(target.encoding, found.target_sigma2),
+    )
 
 
 def _with_timings(result: RegistrationResult, timings: Mapping[str, float]) -> RegistrationResult:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from hybridreg_ros.model.descriptors import mutual_neighbours
+from hybridreg_ros.model.descriptors import likely_pairs
 from hybridreg_ros.model.estimators import weighted_inliers
 from hybridreg_ros.model.hypotheses import Candidates, consistent_hypotheses, distinct
 from hybridreg_ros.model.polish import polished
@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
     F64 = NDArray[np.float64]
 
-_MATCHES = 700
+_MATCHES = 500
+_TEMPERATURE = 0.05
 _TOLERANCE = 2.0
 _NEIGHBOURS = 20
 _SEEDS = 60
@@ -87,14 +88,16 @@ def view_of(pyramid: Pyramid) -> View:
 
 
 def descriptor_matches(source: Encoding, target: Encoding) -> Candidates:
-    """Fine points that are each other's most similar one, whatever their superpoints, voxels."""
+    """The fine points most likely to be the same, whatever their superpoints, voxels."""
     with torch.no_grad():
-        index, similarity = mutual_neighbours(source.fine_features, target.fine_features)
-    rows = index.cpu().numpy()
+        index, likelihood = likely_pairs(
+            source.fine_features, target.fine_features, _MATCHES, _TEMPERATURE
+        )
+    rows = index.numpy()
     return Candidates(
         source.pyramid.fine_points.cpu().numpy()[rows[:, 0]].astype(np.float64),
         target.pyramid.fine_points.cpu().numpy()[rows[:, 1]].astype(np.float64),
-        similarity.cpu().numpy().astype(np.float64),
+        likelihood.numpy().astype(np.float64),
     )
 
 
@@ -105,8 +108,7 @@ def propose(matches: Candidates, views: tuple[View, View]) -> Proposals:
         matches: descriptor matches of fine points, voxels.
         views: source and target.
     """
-    best = matches.best(_MATCHES)
-    poses = consistent_hypotheses(best, _TOLERANCE, _SEEDS, _NEIGHBOURS)
+    poses = consistent_hypotheses(matches, _TOLERANCE, _SEEDS, _NEIGHBOURS)
     return _ranked(poses, matches, views)
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Numba kernels on the occupied cells of one scan: grouping, growing, spreading to points."""
+"""Numba kernels on the occupied cells of one scan: growing, and spreading to points."""
 
 # ruff: noqa: D417, PLR0913, PLR0917 (kernels take plain arrays)
 from __future__ import annotations
@@ -8,43 +8,9 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from hybridreg_ros.odometry.voxelmap import EMPTY, empty_table, find_slot, voxel_key
+from hybridreg_ros.odometry.voxelmap import EMPTY, find_slot, voxel_key
 
 _jit = numba.njit(cache=True, nogil=True)
-
-
-@_jit
-def occupied(points, size):  # type: ignore[no-untyped-def]
-    """Cells of a grid that hold points.
-
-    Args:
-        points: (N, 3), odom frame, metres.
-        size: edge of a cell, metres.
-
-    Returns:
-        table (C,) int64 and slots (C,) int32 (hash table of cell keys), keys (M,) int64, counts
-        (M,) int32 of points per cell, and the cell of each point (N,) int32, -1 outside the grid.
-    """
-    n = len(points)
-    table, slots = empty_table(n)
-    keys = np.empty(n, np.int64)
-    counts = np.zeros(n, np.int32)
-    cell = np.full(n, -1, np.int32)
-    used = 0
-    inverse = 1.0 / size
-    for row in range(n):
-        key = voxel_key(points[row, 0], points[row, 1], points[row, 2], inverse)
-        if key == EMPTY:
-            continue
-        slot = find_slot(table, key)
-        if table[slot] == EMPTY:
-            table[slot] = key
-            slots[slot] = used
-            keys[used] = key
-            used += 1
-        cell[row] = slots[slot]
-        counts[slots[slot]] += 1
-    return table, slots, keys[:used].copy(), counts[:used].copy(), cell
 
 
 @_jit
@@ -87,36 +53,6 @@ def grow(keys, table, slots, value, group, budget, passable, steps, fade):  # ty
                             fresh[added] = other
                             added += 1
         front, count = fresh, added
-
-
-@_jit
-def groups(keys, table, slots, member):  # type: ignore[no-untyped-def]
-    """Connected groups of member cells (M,) bool; group number per cell, -1 for the others."""
-    group = np.full(len(keys), -1, np.int32)
-    stack = np.empty(len(keys), np.int32)
-    number = 0
-    for start in range(len(keys)):
-        if not member[start] or group[start] >= 0:
-            continue
-        group[start] = number
-        stack[0] = start
-        height = 1
-        while height > 0:
-            height -= 1
-            cell = stack[height]
-            for di in range(-1, 2):
-                for dj in range(-1, 2):
-                    for dk in range(-1, 2):
-                        slot = find_slot(table, keys[cell] + (di << 42) + (dj << 21) + dk)
-                        if table[slot] == EMPTY:
-                            continue
-                        other = slots[slot]
-                        if member[other] and group[other] < 0:
-                            group[other] = number
-                            stack[height] = other
-                            height += 1
-        number += 1
-    return group
 
 
 @_jit

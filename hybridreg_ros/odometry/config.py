@@ -114,6 +114,16 @@ class RefineConfig(Section):
     min_scale: float = option(
         0.02, 'floor of the residual scale of the robust kernel, in voxels', low=1e-4, high=1.0
     )
+    sway: bool = option(
+        True, 'find the uneven motion during a scan along with its pose when points carry times'
+    )
+    sway_iterations: int = option(6, 'most pairings for that', low=1, high=50)
+    sway_speed: float = option(
+        0.2, 'standard deviation of the velocity off the predicted one, m/s', low=1e-3, high=100.0
+    )
+    sway_turn_deg: float = option(
+        20.0, 'the same of the angular velocity, degrees/s', low=1e-2, high=1000.0
+    )
 
 
 @dataclass(frozen=True)
@@ -142,7 +152,7 @@ class FallbackConfig(Section):
     )
     good: float = option(0.9, 'the same once a second guess has been tried', low=0.0, high=1.0)
     accept: float = option(
-        0.5, 'a pose of lower confidence counts as a bad frame', low=0.0, high=1.0
+        0.3, 'a pose of lower confidence counts as a bad frame', low=0.0, high=1.0
     )
     turns_deg: tuple[float, ...] = option(
         (20.0, 40.0, 60.0), 'turns of the guesses of a wide search, degrees', low=0.1, high=180.0

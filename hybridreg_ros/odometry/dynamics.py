@@ -14,21 +14,25 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry import align, cells, objects, segments
 from hybridreg_ros.odometry.rangeimage import FRONT, ON, RangeImage
+from hybridreg_ros.odometry.thinning import occupied
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
+    from hybridreg_ros.odometry.cloud import Cloud
     from hybridreg_ros.odometry.config import DynamicsConfig
     from hybridreg_ros.odometry.localmap import LocalMap
-    from hybridreg_ros.odometry.preprocess import Cloud, SensorModel
+    from hybridreg_ros.odometry.preprocess import SensorModel
 
     F32 = NDArray[np.float32]
     F64 = NDArray[np.float64]
 
 _SURE = 0.95
 """P(dynamic) of a cell that stands in space seen free."""
+_FORGOTTEN = 1e-3
+"""Remembered P(dynamic) below this is 0; fading on, it would become denormal, and slow."""
 _TOLERANCE = {'depth': (0.3, 0.01), 'lidar': (0.5, 0.015)}
 """Slack in voxels and as a share of the range; a sparse lidar says less about slanted surfaces."""
 
@@ -104,10 +108,9 @@ class Dynamics:
             (N,) float32 in [0, 1]; 0 outside the range limits.
         """
         placed = se3.apply(T_odom_sensor, cloud.means)
-        table, slots, keys, _, cell = cells.occupied(placed, self._size_m)
+        everywhere = np.ones(len(placed), np.bool_)
+        table, slots, keys, first, _, cell = occupied(placed, self._size_m, everywhere)
         inside = np.flatnonzero(cell >= 0)
-        first = np.zeros(len(keys), np.int64)
-        first[cell[inside][::-1]] = inside[::-1]
         counts = np.bincount(cell[inside], weights=cloud.counts[inside], minlength=len(keys))
         remembered = self._remembered(placed[first], spread=False)
         seed, known = self._seeds(cloud.means[first], T_odom_sensor, remembered)
@@ -124,7 +127,9 @@ class Dynamics:
             wall = self._on_large_plane(placed[first].astype(np.float64), local_map)
             value = self._grown(grid, shape, group, seed, known, wall)
         # Memory comes after the growth and does not spread: else it would creep over everything.
-        value = np.maximum(value, self._config.decay * remembered)
+        fading = self._config.decay * remembered
+        fading[fading < _FORGOTTEN] = 0.0
+        value = np.maximum(value, fading)
         self._grid = _Grid(table, slots, value)
         of_cube = np.where(cell >= 0, value[cell], 0.0).astype(np.float32)
         return np.where(cloud.cube >= 0, of_cube[cloud.cube], np.float32(0.0))

@@ -18,9 +18,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hybridreg_ros.odometry.cloud import Cloud
     from hybridreg_ros.odometry.config import OdometryConfig
     from hybridreg_ros.odometry.localmap import LocalMap
-    from hybridreg_ros.odometry.preprocess import Cloud, SensorModel
+    from hybridreg_ros.odometry.preprocess import SensorModel
     from hybridreg_ros.odometry.refine import Basin, Fit
 
     F64 = NDArray[np.float64]
@@ -84,7 +85,8 @@ class Fallback:
         some = some[:: max(1, -(-len(some) // section.max_points))]
         pose = self._kiss.align(some, guess)
         if section.polish:
-            return refine(points, pose, self._map, self._config.refine, weights, basin)
+            times = cloud.icp_times
+            return refine(points, pose, self._map, self._config.refine, weights, basin, times)
         return assess(points, pose, self._map, self._config.refine, weights)
 
     def locate(

@@ -15,10 +15,10 @@ from hybridreg_ros.odometry import covariance, learned
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.intake import Intake
 from hybridreg_ros.odometry.motion import Motion
-from hybridreg_ros.odometry.preprocess import Cloud, preprocess, recognise_sensor
+from hybridreg_ros.odometry.preprocess import preprocess, recognise_sensor
 from hybridreg_ros.odometry.result import OdometryResult, Reason, Source
 from hybridreg_ros.odometry.stopwatch import Watch
-from hybridreg_ros.odometry.tracker import Estimate, Tracker
+from hybridreg_ros.odometry.tracker import Tracker
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.core.scan import Scan
+    from hybridreg_ros.odometry.cloud import Cloud
+    from hybridreg_ros.odometry.estimate import Estimate
     from hybridreg_ros.odometry.locator import Candidate
 
 _log = logging.getLogger(__name__)
@@ -156,11 +158,13 @@ class HybridOdometry:
             timings_s=watch.laps(),
         )
 
-    def _reported(self, pose: NDArray[np.float64], cloud: Cloud) -> NDArray[np.float64]:
+    def _reported(self, estimate: Estimate, cloud: Cloud) -> NDArray[np.float64]:
         """Pose at the instant that is asked for, from that of the registered cloud."""
-        ahead = cloud.reported_s - cloud.instant_s
+        pose, ahead = estimate.pose, cloud.reported_s - cloud.instant_s
         if ahead == 0.0:
             self._last_pose = pose
+        elif estimate.reported is not None:
+            self._last_pose = estimate.reported
         else:
             self._last_pose = pose @ se3.exp(self._motion.twist * ahead)
         return self._last_pose
@@ -171,7 +175,7 @@ class HybridOdometry:
         self._keyframe_id = estimate.keyframe_id
         return OdometryResult(
             scan=scan,
-            pose=self._reported(estimate.pose, cloud),
+            pose=self._reported(estimate, cloud),
             covariance=estimate.covariance,
             twist=self._motion.twist,
             twist_covariance=covariance.of_twist(

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -94,6 +94,12 @@ class Keyframes:
         frame = Keyframe(self._next, stamp, pose, points)
         self._frames.append(frame)
         self._next += 1
+        return frame
+
+    def mend(self, pose: NDArray[np.float64], points: NDArray[np.float32]) -> Keyframe:
+        """Put the newest keyframe elsewhere, with other points; its number stays."""
+        frame = replace(self._frames.pop(), T_odom_keyframe=pose, points=points)
+        self._frames.append(frame)
         return frame
 
     def to_match(self, predicted: NDArray[np.float64]) -> Keyframe | None:

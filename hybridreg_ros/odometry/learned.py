@@ -98,6 +98,10 @@ class LearnedBranch:
         while len(self._keyframes) > self._memory:
             del self._keyframes[min(self._keyframes)]
 
+    def forget(self, keyframe: Keyframe) -> None:
+        """A keyframe has changed: encode it anew when it is matched next."""
+        self._keyframes.pop(keyframe.number, None)
+
     def propose(self, keyframe: Keyframe | None, watch: Watch | None = None) -> Proposal | None:
         """Pose of the current scan through a keyframe, or None when there is no answer."""
         if keyframe is None or self._points is None:

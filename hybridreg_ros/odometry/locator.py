@@ -22,11 +22,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hybridreg_ros.odometry.cloud import Cloud
     from hybridreg_ros.odometry.config import OdometryConfig
     from hybridreg_ros.odometry.keyframes import Keyframes
     from hybridreg_ros.odometry.learned import LearnedBranch, Proposal
     from hybridreg_ros.odometry.localmap import LocalMap
-    from hybridreg_ros.odometry.preprocess import Cloud, SensorModel
+    from hybridreg_ros.odometry.preprocess import SensorModel
     from hybridreg_ros.odometry.stopwatch import Watch
     from hybridreg_ros.odometry.visibility import Sightings
 
@@ -61,11 +62,12 @@ class Located:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A pose under judgement."""
+    """A pose under judgement; `reported` is it (4, 4) at the instant that is asked for."""
 
     fit: Fit
     evidence: Evidence
     verdict: Verdict
+    reported: F64
 
 
 class Locator:
@@ -207,6 +209,7 @@ class Locator:
             self._config.refine,
             weights,
             'middle',
+            cloud.icp_times,
         )
         candidate = check(fit)
         if candidate.verdict.fault is not None:
@@ -276,7 +279,7 @@ class Locator:
         self, cloud: Cloud, trust: F32, predicted: F64 | None, dt_s: float, fit: Fit
     ) -> Candidate:
         """A pose with what speaks for it, judged by the points that do not move."""
-        points = cloud.icp_points[trust > 0.5]
+        points = cloud.icp_with(fit.sway)[trust > 0.5]
         evidence = replace(
             self._sightings.evidence(points, fit.T_odom_sensor, fit.overlap),
             spread=fit.scale_m / self._voxel_m,
@@ -284,7 +287,8 @@ class Locator:
         verdict = judge(
             evidence, fit.T_odom_sensor, predicted, dt_s, self._voxel_m, self._config.gate
         )
-        candidate = Candidate(fit, evidence, verdict)
+        reported = cloud.reported(fit.T_odom_sensor, fit.sway)
+        candidate = Candidate(fit, evidence, verdict, reported)
         self.judged.append(candidate)
         return candidate
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hybridreg_ros.odometry import cells, segments
+from hybridreg_ros.odometry import segments
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -77,7 +77,7 @@ class Shape:
 
 def confirmed(grid: Cells, seed: Mask, config: DynamicsConfig) -> NDArray[np.int32]:
     """Group (M,) of each seed in a connected group large enough to be a thing; else -1."""
-    group: NDArray[np.int32] = cells.groups(grid.keys, grid.table, grid.slots, seed)
+    group: NDArray[np.int32] = segments.groups(grid.keys, grid.table, grid.slots, seed)
     if seed.any():
         points = np.bincount(group[seed], weights=grid.counts[seed])
         size = np.bincount(group[seed])

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
-from hybridreg_ros.odometry.thinning import first_per_voxel, mean_per_voxel
+from hybridreg_ros.odometry.cloud import Cloud
+from hybridreg_ros.odometry.thinning import first_per_voxel, means_of, occupied, voxel_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -41,50 +42,6 @@ class SensorModel:
     voxel_size_m: float
     min_range_m: float
     max_range_m: float
-
-
-@dataclass(frozen=True, eq=False)
-class Cloud:
-    """A preprocessed scan.
-
-    Attributes:
-        points: (N, 3) float32, all points of the scan, deskewed, sensor frame, metres.
-        usable: (N,) bool, inside the range limits.
-        map_rows: (M,) rows of `points` thinned for the map.
-        icp_rows: (K,) rows of `points` thinned for registration, K <= icp_points.
-        means: (M, 3) float32, mean of the points in the cube of each map row: less noise than one.
-        counts: (M,) int32 points in that cube.
-        cube: (N,) int32 cube of each point, -1 outside the range limits.
-        deskewed: True when the motion during the scan was undone.
-        instant_s: instant of `points`, seconds after the scan's stamp.
-        reported_s: instant at which the pose is wanted, seconds after the scan's stamp.
-    """
-
-    points: NDArray[np.float32]
-    usable: NDArray[np.bool_]
-    map_rows: NDArray[np.int64]
-    icp_rows: NDArray[np.int64]
-    means: NDArray[np.float32]
-    counts: NDArray[np.int32]
-    cube: NDArray[np.int32]
-    deskewed: bool
-    instant_s: float
-    reported_s: float
-
-    @property
-    def map_points(self) -> NDArray[np.float32]:
-        """(M, 3) measured points, thinned; the network gets them."""
-        return self.points[self.map_rows]
-
-    @property
-    def icp_in_map(self) -> NDArray[np.int64]:
-        """(K,) place of each registered point among the map points."""
-        return np.searchsorted(self.map_rows, self.icp_rows)
-
-    @property
-    def icp_points(self) -> NDArray[np.float32]:
-        """(K, 3) points that are registered: means of the cubes of `icp_rows`."""
-        return self.means[self.icp_in_map]
 
 
 def recognise_sensor(points: NDArray[np.float32], config: OdometryConfig) -> SensorModel:
@@ -136,20 +93,31 @@ def preprocess(
     if deskewed and scan.times is not None and np.any(twist):
         points = deskew(points, scan.times, twist, instant_s)
     usable = _in_range(points, sensor.min_range_m**2, sensor.max_range_m**2)
-    rows = np.flatnonzero(usable)
-    near, size = points[rows], config.map_thinning * sensor.voxel_size_m
-    some = np.arange(0, len(rows), max(1, -(-len(rows) // config.max_points)))
-    first = some[first_per_voxel(near[some] if len(some) < len(rows) else near, size)]
-    means, counts, inside = mean_per_voxel(near, size, first)
-    cube = np.full(len(points), -1, np.int32)
-    cube[rows] = inside
-    map_rows = rows[first]
-    icp_rows = map_rows[first_per_voxel(near[first], config.icp_thinning * sensor.voxel_size_m)]
+    size = config.map_thinning * sensor.voxel_size_m
+    member = _every_kth(usable, config.max_points)
+    table, slots, _, map_rows, _, cube = occupied(points, size, member)
+    if member is not usable:
+        cube = voxel_of(points, size, usable, table, slots)
+    means, counts = means_of(points, cube, len(map_rows))
+    some = first_per_voxel(points[map_rows], config.icp_thinning * sensor.voxel_size_m)
+    icp_rows = map_rows[some]
     if len(icp_rows) > config.icp_points:
         icp_rows = icp_rows[:: -(-len(icp_rows) // config.icp_points)]
+    times = scan.times - instant_s if deskewed and scan.times is not None else None
     return Cloud(
-        points, usable, map_rows, icp_rows, means, counts, cube, deskewed, instant_s, reported_s
-    )
+        points, usable, map_rows, icp_rows, means, counts, cube, deskewed, instant_s, reported_s,
+        twist, times,
+    )  # fmt: skip
+
+
+def _every_kth(member: NDArray[np.bool_], most: int) -> NDArray[np.bool_]:
+    """Every k-th of the members (N,) bool, so that at most so many are left."""
+    count = int(np.count_nonzero(member))
+    if count <= most:
+        return member
+    thinned = np.zeros(len(member), np.bool_)
+    thinned[np.flatnonzero(member)[:: -(-count // most)]] = True
+    return thinned
 
 
 def certainty(points: NDArray[np.floating], sensor: SensorModel) -> NDArray[np.float64]:

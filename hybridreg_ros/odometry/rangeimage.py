@@ -103,17 +103,24 @@ class RangeImage:
         points: (N, 3), sensor frame, metres.
         view: how directions map to pixels.
         T_odom_sensor: (4, 4) pose of the scan.
+        rows: (R,) int64, the points to draw; None for all.
     """
 
     def __init__(
-        self, points: NDArray[np.floating], view: View, T_odom_sensor: NDArray[np.float64]
+        self,
+        points: NDArray[np.floating],
+        view: View,
+        T_odom_sensor: NDArray[np.float64],
+        rows: NDArray[np.int64] | None = None,
     ) -> None:
         self.view = view
         self.T_odom_sensor = T_odom_sensor
-        step = max(1, len(points) // (_POINTS_PER_PIXEL * view.width * view.height))
+        count = len(points) if rows is None else len(rows)
+        step = max(1, count // (_POINTS_PER_PIXEL * view.width * view.height))
         near = np.full((view.height, view.width), np.inf, np.float32)
         far = np.zeros((view.height, view.width), np.float32)
-        _draw(points[::step], *_geometry(view), near, far)
+        some = points[::step] if rows is None else points[rows[::step]]
+        _draw(some, *_geometry(view), near, far)
         # A point counts as off a surface only when it is off in the 3x3 pixels around it, so that
         # slanted surfaces and edges do not look like things that moved.
         self._near, self._far = _widen(near, far, view.wraps)

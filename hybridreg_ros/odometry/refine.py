@@ -4,14 +4,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.odometry import align
+from hybridreg_ros.odometry import align, sway
+from hybridreg_ros.odometry.surfaces import Surfaces
+from hybridreg_ros.odometry.sway import NO_SWAY, Sway
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,12 +27,6 @@ _POINT_SPREAD = 5.0
 rings rather than the surface, so they only hold what planes leave free."""
 
 
-_RANGE_GROUPS = 6
-_RANGE_GROUP = 100
-"""Points are grouped by range into at most so many groups of at least so many, each with a scale
-of its own: the noise of a depth camera grows with the square of the range."""
-
-
 @dataclass(frozen=True, eq=False)
 class Fit:
     """How well a scan sits in the map.
@@ -43,6 +38,7 @@ class Fit:
         overlap: share of the points with a surface of the map nearby, [0, 1].
         scale_m: robust standard deviation of the plane residuals, metres.
         converged: False when the iterations ended while the pose still moved.
+        sway: motion during the scan that its deskew did not undo, when it was asked for.
     """
 
     T_odom_sensor: NDArray[np.float64]
@@ -50,65 +46,7 @@ class Fit:
     overlap: float
     scale_m: float
     converged: bool
-
-
-class _Surfaces:
-    """Pairs of scan points with local surfaces of the map (buffers reused over iterations)."""
-
-    def __init__(self, count: int) -> None:
-        self.kind = np.zeros(count, np.int8)
-        self.anchor = np.zeros((count, 3))
-        self.normal = np.zeros((count, 3))
-        self.variance = np.zeros(count)
-        self.residual = np.full(count, np.inf)
-
-    def search(
-        self,
-        points: NDArray[np.float64],
-        T: NDArray[np.float64],
-        levels: tuple[VoxelLevel, VoxelLevel],
-        update: int,
-    ) -> None:
-        """Pair points with the surfaces of a level, or of the wider one where it has none."""
-        align.associate(
-            points, T[:3, :3].copy(), T[:3, 3].copy(), levels[0].grid, levels[1].grid, update,
-            self.kind, self.anchor, self.normal, self.variance,
-        )  # fmt: skip
-
-    def measure(self, points: NDArray[np.float64], T: NDArray[np.float64]) -> None:
-        align.residuals(
-            points, T[:3, :3].copy(), T[:3, 3].copy(),
-            self.kind, self.anchor, self.normal, self.residual,
-        )  # fmt: skip
-
-    def scale(self, low: float, high: float) -> float:
-        """Robust standard deviation of the plane residuals, metres, clipped to [low, high]."""
-        planes = self.residual[self.kind == align.PLANE]
-        if len(planes) == 0:
-            return high
-        return float(np.clip(1.4826 * np.median(planes), low, high))
-
-    def scales(self, order: NDArray[np.int64], low: float, high: float) -> NDArray[np.float64]:
-        """The same per point (N,), as it grows with the range: medians of groups by range.
-
-        Args:
-            order: (N,) rows of the points by range.
-            low: floor, metres.
-            high: ceiling, metres.
-        """
-        out = np.empty(len(order))
-        planes = order[self.kind[order] == align.PLANE]
-        if len(planes) < 2 * _RANGE_GROUP:
-            out.fill(self.scale(low, high))
-            return out
-        groups = min(_RANGE_GROUPS, len(planes) // _RANGE_GROUP)
-        ends = np.linspace(0, len(planes), groups + 1).astype(np.int64)
-        spread = [1.4826 * np.median(self.residual[planes[a:b]]) for a, b in pairwise(ends)]
-        place = np.empty(len(order))
-        place[order] = np.arange(len(order))
-        middles = [place[planes[(a + b) // 2]] for a, b in pairwise(ends)]
-        out[:] = np.interp(place, middles, spread)
-        return np.clip(out, low, high)
+    sway: Sway | None = None
 
 
 def refine(
@@ -118,6 +56,7 @@ def refine(
     config: RefineConfig,
     weights: NDArray[np.floating] | None = None,
     basin: Basin = 'coarse',
+    times: NDArray[np.float64] | None = None,
 ) -> Fit:
     """Align points with the map, from a first guess.
 
@@ -128,16 +67,57 @@ def refine(
         config: settings.
         weights: (N,) trust per point in [0, 1] (1 - P(dynamic)), or None for all equal.
         basin: level to start on: the coarser, the farther off the guess may be.
+        times: (N,) seconds of each point after the instant of the pose; then the motion during
+            the scan is found too.
     """
     start = T_odom_sensor
     if basin != 'fine':
         start = pull_in(points, T_odom_sensor, local_map, config, weights, basin)
     points, trust = _prepared(points, weights)
     floor = 4.0 * config.min_scale if basin == 'fine' else 0.4 * config.start_scale
-    T, converged = _iterate(
-        points, trust, start, (local_map.fine, local_map.middle), local_map.updates, config, floor
+    levels = (local_map.fine, local_map.middle)
+    T, converged, surfaces = _iterate(
+        points, trust, start, levels, local_map.updates, config, floor
     )
-    return assess(points, T, local_map, config, weights, converged)
+    if times is None or not config.sway:
+        if converged:  # it stands where it was paired last
+            return _assessed(points, trust, T, surfaces, local_map, config, converged)
+        return assess(points, T, local_map, config, weights, converged)
+    T, found = _with_sway(points, times, trust, T, local_map, config)
+    fit = assess(found.undo(points, times), T, local_map, config, weights, converged)
+    return replace(fit, sway=found)
+
+
+def _with_sway(
+    points: NDArray[np.float64],
+    times: NDArray[np.float64],
+    trust: NDArray[np.float64],
+    T: NDArray[np.float64],
+    local_map: LocalMap,
+    config: RefineConfig,
+) -> tuple[NDArray[np.float64], Sway]:
+    """Pose and motion during the scan, from the pose of an even motion."""
+    level, found, moved = local_map.fine, NO_SWAY, points
+    surfaces, order = Surfaces(len(points)), _by_range(points)
+    half_span = 0.5 * float(times.max() - times.min())
+    low = config.min_scale * level.size_m
+    for _ in range(config.sway_iterations):
+        surfaces.search(moved, T, (level, local_map.middle), local_map.updates)
+        step = 0.0
+        for _ in range(2):
+            surfaces.measure(moved, T)
+            scale = surfaces.scales(order, low, level.size_m)
+            sums = sway.moments(
+                moved, times, trust, T[:3, :3].copy(), T[:3, 3].copy(), surfaces.kind,
+                surfaces.anchor, surfaces.normal, surfaces.variance, scale,
+                (_POINT_SPREAD * level.size_m) ** 2,
+            )  # fmt: skip
+            T, found, length = sway.update(found, T, sums, half_span, config)
+            moved = found.undo(points, times)
+            step = max(step, length)
+        if step < 0.02:
+            break
+    return se3.orthonormalise(T), found
 
 
 def pull_in(
@@ -153,10 +133,9 @@ def pull_in(
     points, trust = _prepared(points[some], None if weights is None else weights[some])
     level = local_map.coarse if basin == 'coarse' else local_map.middle
     levels = (level, local_map.coarse)
-    T, _ = _iterate(
+    return _iterate(
         points, trust, T_odom_sensor, levels, local_map.updates, config, config.start_scale
-    )
-    return T
+    )[0]
 
 
 def _prepared(
@@ -186,9 +165,22 @@ def assess(
         converged: passed on to the result.
     """
     points, trust = _prepared(points, weights)
-    level = local_map.fine
-    surfaces = _Surfaces(len(points))
+    surfaces = Surfaces(len(points))
     surfaces.search(points, T_odom_sensor, (local_map.fine, local_map.middle), local_map.updates)
+    return _assessed(points, trust, T_odom_sensor, surfaces, local_map, config, converged)
+
+
+def _assessed(
+    points: NDArray[np.float64],
+    trust: NDArray[np.float64],
+    T_odom_sensor: NDArray[np.float64],
+    surfaces: Surfaces,
+    local_map: LocalMap,
+    config: RefineConfig,
+    converged: bool,
+) -> Fit:
+    """How well points sit in the map, with their surfaces; arguments as `assess`."""
+    level = local_map.fine
     surfaces.measure(points, T_odom_sensor)
     scale = surfaces.scale(config.min_scale * level.size_m, level.size_m)
     # Point-to-point pairs follow the sampling, not the scene: they say nothing about the error.
@@ -215,7 +207,7 @@ def _system(
     points: NDArray[np.float64],
     trust: NDArray[np.float64],
     T: NDArray[np.float64],
-    surfaces: _Surfaces,
+    surfaces: Surfaces,
     scale: NDArray[np.float64],
     level: VoxelLevel,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float]:
@@ -235,14 +227,14 @@ def _iterate(
     update: int,
     config: RefineConfig,
     floor: float,
-) -> tuple[NDArray[np.float64], bool]:
-    """Pair and step until the pose stands still; the pose and whether it does.
+) -> tuple[NDArray[np.float64], bool, Surfaces]:
+    """Pair and step until the pose stands still; the pose, whether it does, and the last pairs.
 
     The robust scale starts no smaller than `floor` voxels and shrinks (graduated non-convexity):
     a sharp kernel at a bad guess would keep only the pairs that happen to agree with the guess.
     """
     level = levels[0]
-    surfaces = _Surfaces(len(points))
+    surfaces = Surfaces(len(points))
     reach = float(np.median(np.linalg.norm(points, axis=1))) if len(points) else 1.0
     order = _by_range(points)
     for _ in range(config.max_iterations):
@@ -253,22 +245,12 @@ def _iterate(
             low = max(floor, config.min_scale) * level.size_m
             scale = surfaces.scales(order, low, level.size_m)
             H, b, _, _ = _system(points, trust, T, surfaces, scale, level)
-            step = _solve(H, b)
+            step = sway.solve(H, b)
             T = T.copy()
             T[:3, :3] = se3.so3_exp(step[3:]) @ T[:3, :3]
             T[:3, 3] += step[:3]
             moved = max(moved, float(np.linalg.norm(step[:3]) + reach * np.linalg.norm(step[3:])))
         if moved < config.convergence * level.size_m and floor < 2.0 * config.min_scale:
-            return se3.orthonormalise(T), True
+            return se3.orthonormalise(T), True, surfaces
         floor *= config.anneal
-    return se3.orthonormalise(T), False
-
-
-def _solve(H: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Solution of H step = -b in the directions that the points hold; zero along the others."""
-    unit = np.sqrt(np.maximum(np.diag(H), 1e-12))
-    values, vectors = np.linalg.eigh(H / np.outer(unit, unit))
-    held = values > 1e-4
-    projected = np.where(held, (vectors.T @ (-b / unit)) / np.where(held, values, 1.0), 0.0)
-    step: NDArray[np.float64] = (vectors @ projected) / unit
-    return step
+    return se3.orthonormalise(T), False, surfaces

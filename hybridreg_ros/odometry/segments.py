@@ -163,3 +163,11 @@ def divide(keys, table, slots, member, centre, normal, flat, bend, step, fold): 
                             height += 1
         number += 1
     return part, number
+
+
+@_jit
+def groups(keys, table, slots, member):  # type: ignore[no-untyped-def]
+    """Connected groups of member cells (M,) bool; group number per cell, -1 for the others."""
+    nowhere = np.zeros((len(keys), 3))
+    never = np.zeros(len(keys), np.bool_)
+    return divide(keys, table, slots, member, nowhere, nowhere, never, -2.0, 0.0, 0.0)[0]

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 from hybridreg_ros.core import se3
 from hybridreg_ros.odometry import calibration, covariance
 from hybridreg_ros.odometry.dynamics import Dynamics
+from hybridreg_ros.odometry.estimate import Estimate, nothing
 from hybridreg_ros.odometry.keyframes import Keyframes
 from hybridreg_ros.odometry.learned import LearnedBranch
 from hybridreg_ros.odometry.localmap import LocalMap
@@ -24,9 +25,10 @@ from hybridreg_ros.odometry.visibility import Sightings
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from hybridreg_ros.odometry.cloud import Cloud
     from hybridreg_ros.odometry.config import OdometryConfig
     from hybridreg_ros.odometry.motion import Motion
-    from hybridreg_ros.odometry.preprocess import Cloud, SensorModel
+    from hybridreg_ros.odometry.preprocess import SensorModel
     from hybridreg_ros.odometry.rangeimage import RangeImage
     from hybridreg_ros.odometry.registrar import Registrar
     from hybridreg_ros.odometry.stopwatch import Watch
@@ -37,20 +39,8 @@ _log = logging.getLogger(__name__)
 
 _STATIC_BELOW = 0.3
 """Only points of a lower P(dynamic) enter the map."""
-
-
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """What the tracker says about one cloud; fields as in OdometryResult."""
-
-    pose: F64
-    covariance: F64
-    source: Source
-    reason: Reason
-    confidence: float
-    dynamic_probability: NDArray[np.float32]
-    keyframe_id: int
-    is_keyframe: bool
+_OPENINGS = 2
+"""How often the first map is made again once the second scan shows the velocity."""
 
 
 class Tracker:
@@ -70,12 +60,9 @@ class Tracker:
     """
 
     def __init__(
-        self,
-        config: OdometryConfig,
-        sensor: SensorModel,
-        registrar: Registrar | None,
+        self, config: OdometryConfig, sensor: SensorModel, registrar: Registrar | None,
         motion: Motion,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.sensor = sensor
         self.lost = False
         self.source = Source.KISS_ICP if registrar is None else Source.HYBRIDREG
@@ -99,6 +86,7 @@ class Tracker:
         )
         self._bad_frames = 0
         self._lost_scans = 0
+        self._opening: tuple[Cloud, int] | None = None
 
     def step(self, cloud: Cloud, stamp: int, watch: Watch) -> Estimate:
         """Locate a cloud, update the pose chain, the map and the keyframes.
@@ -122,6 +110,9 @@ class Tracker:
         else:
             dt = self._motion.seconds_to(stamp)
             found = self._locator.locate(cloud, predicted, self._motion.pose, dt, trust, watch)
+        if isinstance(found, Located) and self._opens(cloud, stamp):
+            cloud, predicted, found = self._opened(cloud, stamp, found, watch)
+        self._opening = None
         watch.lap('refine')
         if isinstance(found, Located):
             return self._accept(cloud, stamp, predicted, found, watch)
@@ -134,16 +125,58 @@ class Tracker:
         """Every pose that was considered for the last cloud."""
         return self._locator.judged
 
+    def _opens(self, cloud: Cloud, stamp: int) -> bool:
+        """Whether this is the second scan of a map whose first one was taken to stand still."""
+        if self._opening is None or cloud.times is None:
+            return False
+        return self._opening[1] == self._motion.stamp < stamp
+
+    def _opened(
+        self, cloud: Cloud, stamp: int, found: Located, watch: Watch
+    ) -> tuple[Cloud, F64, Located]:
+        """Make the map of the first scan again, deskewed by the velocity that the second shows.
+
+        The pose reported of the first scan stands, so that of its points is found from it.
+
+        Returns:
+            The second cloud, deskewed too, its predicted pose, and where it is.
+        """
+        assert self._opening is not None
+        (first, since), still, outcome = self._opening, cloud, found
+        begun = predicted = start = self._motion.pose
+        dt = self._motion.seconds_to(stamp)
+        for _ in range(_OPENINGS):
+            twist = se3.log(se3.inverse(begun) @ outcome.fit.T_odom_sensor) / dt
+            begun = start @ se3.exp(twist * (first.instant_s - first.reported_s))
+            predicted = begun @ se3.exp(twist * dt)
+            cloud = still.moved_by(twist)
+            self._restart(first.moved_by(twist), begun, since)
+            ones = np.ones(len(cloud.icp_rows), np.float32)
+            again = self._locator.locate(cloud, predicted, begun, dt, ones, watch)
+            if isinstance(again, Reason):  # the velocity was wrong, so as it was before
+                self._restart(first, start, since)
+                return still, start, found
+            outcome = again
+        return cloud, predicted, outcome
+
+    def _restart(self, cloud: Cloud, pose: F64, stamp: int) -> None:
+        """Let the map, the past and the newest keyframe be those of one cloud."""
+        self._map.clear()
+        self._dynamics.clear()
+        self._motion.hold(pose, stamp)
+        keyframe = self._keyframes.mend(pose, cloud.map_points)
+        if self._learned is not None:
+            self._learned.forget(keyframe)
+        self._write_first(cloud, pose, stamp)
+
     def _accept(
-        self,
-        cloud: Cloud,
-        stamp: int,
-        predicted: F64,
-        found: Located,
-        watch: Watch,
+        self, cloud: Cloud, stamp: int, predicted: F64, found: Located, watch: Watch
     ) -> Estimate:
         """Write a good pose to the chain, the map and, when due, the keyframes."""
         pose, was_lost = found.fit.T_odom_sensor, self.lost
+        sway, reported = found.fit.sway, None
+        if sway is not None:
+            cloud, reported = cloud.straightened(sway), cloud.reported(pose, sway)
         if was_lost:
             self._motion.stop(stamp)
             self._motion.hold(pose, stamp)
@@ -166,7 +199,8 @@ class Tracker:
         self._write(cloud, pose, stamp, image, dynamic, is_keyframe)
         watch.lap('map')
         reason = Reason.RECOVERED if was_lost else found.reason
-        return self._estimate(pose, reason, found.confidence, dynamic, is_keyframe)
+        estimate = self._estimate(pose, reason, found.confidence, dynamic, is_keyframe)
+        return replace(estimate, reported=reported)
 
     def _begin(self, cloud: Cloud, stamp: int, reason: Reason) -> Estimate:
         """Start a map at the last pose: the first scan, or a new start after a loss.
@@ -180,17 +214,16 @@ class Tracker:
         self.source = Source.KISS_ICP if self._learned is None else Source.HYBRIDREG
         first = reason is Reason.FIRST_SCAN
         self.covariance = covariance.first() if first else covariance.lost()
-        dynamic = np.zeros(len(cloud.points), np.float32)
-        image = self._sightings.draw(cloud, pose)
         self._add_keyframe(cloud, pose, stamp)
-        self._write(cloud, pose, stamp, image, dynamic, is_keyframe=True)
-        return self._estimate(pose, reason, 1.0 if first else 0.0, dynamic, is_keyframe=True)
+        self._write_first(cloud, pose, stamp)
+        self._opening = None if cloud.times is None else (cloud, stamp)
+        return self._estimate(pose, reason, float(first), nothing(cloud), is_keyframe=True)
 
     def _bad(self, cloud: Cloud, stamp: int, reason: Reason) -> Estimate:
         """No pose from this cloud: coast for a few frames, then say LOST and stand still."""
         self._bad_frames += 1
         self.lost = self.lost or self._bad_frames >= self._config.lost.after_bad_frames
-        dynamic = np.zeros(len(cloud.points), np.float32)
+        dynamic = nothing(cloud)
         if self.lost:
             self._motion.stop(stamp)
             self.source, self.covariance = Source.LOST, covariance.lost()
@@ -221,7 +254,7 @@ class Tracker:
         self, cloud: Cloud, pose: F64, uncertainty: NDArray[np.float32] | None
     ) -> NDArray[np.float32]:
         if not self._config.dynamics.enabled:
-            return np.zeros(len(cloud.points), np.float32)
+            return nothing(cloud)
         return self._dynamics.update(cloud, pose, self._map, uncertainty)
 
     def _write(
@@ -246,14 +279,14 @@ class Tracker:
         self._map.update(se3.apply(pose, points), pose[:3, 3], weights)
         self._sightings.keep(image, is_keyframe)
 
+    def _write_first(self, cloud: Cloud, pose: F64, stamp: int) -> None:
+        image = self._sightings.draw(cloud, pose)
+        self._write(cloud, pose, stamp, image, nothing(cloud), is_keyframe=True)
+
     def _estimate(
-        self,
-        pose: F64,
-        reason: Reason,
-        confidence: float,
-        dynamic: NDArray[np.float32],
+        self, pose: F64, reason: Reason, confidence: float, dynamic: NDArray[np.float32],
         is_keyframe: bool,
-    ) -> Estimate:
+    ) -> Estimate:  # fmt: skip
         last = self._keyframes.last
         return Estimate(
             pose=pose,

@@ -6,14 +6,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from hybridreg_ros.odometry.confidence import Evidence
 from hybridreg_ros.odometry.rangeimage import ON, UNSEEN, RangeImage, View, view_of
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
-    from hybridreg_ros.odometry.preprocess import Cloud, SensorModel
+    from hybridreg_ros.odometry.cloud import Cloud
+    from hybridreg_ros.odometry.preprocess import SensorModel
 
 _ENOUGH_SEEN = 0.4
 _SLACK, _SLACK_SHARE = 0.25, 0.0075
@@ -37,10 +39,10 @@ class Sightings:
 
     def draw(self, cloud: Cloud, pose: NDArray[np.float64]) -> RangeImage:
         """Range image of a cloud at a pose; the first cloud decides the view."""
-        points = cloud.points[cloud.usable]
+        rows = np.flatnonzero(cloud.usable)
         if self._view is None:
-            self._view = view_of(points, self._kind)
-        return RangeImage(points, self._view, pose)
+            self._view = view_of(cloud.points[rows], self._kind)
+        return RangeImage(cloud.points, self._view, pose, rows)
 
     def keep(self, image: RangeImage, is_keyframe: bool) -> None:
         """Compare later scans with this one."""

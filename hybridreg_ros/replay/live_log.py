@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-PARTS = ('odom', 'dynamic', 'static')
+PARTS = ('odom', 'dynamic', 'static', 'frame')
 
 
 class LiveRecorder:
@@ -80,6 +80,12 @@ class LiveRecorder:
         """Take a cloud of static points."""
         self._cloud(STATIC_TOPIC, 'static', msg)
 
+    def on_frame(self, msg: Any) -> None:
+        """Take a diagnostic_msgs/DiagnosticArray about one frame."""
+        values = {item.key: item.value for status in msg.status for item in status.values}
+        with self._lock:
+            self._put(_stamp(msg), 'frame', values)
+
     def _cloud(self, topic: str, part: str, msg: Any) -> None:
         stamp = _stamp(msg)
         scan = to_scan(msg, time_unit='none')
@@ -98,14 +104,21 @@ class LiveRecorder:
         if 'odom' not in parts:
             return
         pose, variance = parts['odom']
-        view = _view(stamp, parts)
+        view, told = _view(stamp, parts), parts.get('frame', {})
         if view is not None:
             self.album.offer(view)
         self.log.frames.append(
             FrameLog(
                 stamp=stamp,
                 pose=pose,
-                source=Source.LOST.value if variance >= LOST_VARIANCE else '',
+                source=told.get('source', Source.LOST.value if variance >= LOST_VARIANCE else ''),
+                reason=told.get('reason', ''),
+                confidence=float(told.get('confidence', 'nan')),
+                seconds={
+                    key.removesuffix('_ms'): 1e-3 * float(value)
+                    for key, value in told.items()
+                    if key.endswith('_ms')
+                },
                 points=0 if view is None else len(view.points),
                 dynamic=0 if view is None else int(view.moving.sum()),
                 mask=_mask(parts),

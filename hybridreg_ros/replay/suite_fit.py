@@ -135,7 +135,7 @@ def gather(
             for candidate in _distinct(odometry.judged):
                 if candidate.evidence.overlap >= base.gate.min_overlap:
                     features.append([getattr(candidate.evidence, name) for name in FEATURES])
-                    right.append(_right(anchor, (candidate.fit.T_odom_sensor, truth), limits))
+                    right.append(_right(anchor, (candidate.reported, truth), limits))
         if result.reason is Reason.RECOVERED and result.confidence == 0.0:
             anchor, last = (result.pose, truth), None  # a new map: the way to it is not known
             continue

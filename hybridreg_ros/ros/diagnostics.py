@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from builtin_interfaces.msg import Time
 
+    from hybridreg_ros.odometry.result import OdometryResult
     from hybridreg_ros.ros.monitor import Snapshot
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -134,5 +135,33 @@ def status(state: Snapshot, setting: Setting) -> DiagnosticStatus:
 def to_array(state: Snapshot, setting: Setting, stamp: Time) -> DiagnosticArray:
     """Build the diagnostics message."""
     array = DiagnosticArray(status=[status(state, setting)])
+    array.header.stamp = stamp
+    return array
+
+
+def of_frame(result: OdometryResult, name: str, stamp: Time) -> DiagnosticArray:
+    """What one result says about itself: branch, reason, confidence, time per stage.
+
+    Args:
+        result: of one cloud.
+        name: name of the status, with the node's name.
+        stamp: of the cloud, by which the message is joined with the odometry.
+    """
+    values = {
+        'source': result.source.value,
+        'reason': result.reason.value,
+        'confidence': f'{result.confidence:.6f}',
+        'keyframe': str(result.keyframe_id),
+        'is_keyframe': str(result.is_keyframe).lower(),
+        'deskewed': str(result.deskewed).lower(),
+        **{f'{stage}_ms': f'{1e3 * s:.3f}' for stage, s in result.timings_s.items()},
+    }
+    status = DiagnosticStatus(
+        level=ERROR if result.source is Source.LOST else OK,
+        name=name,
+        message=result.reason.value,
+        values=[KeyValue(key=k, value=v) for k, v in values.items()],
+    )
+    array = DiagnosticArray(status=[status])
     array.header.stamp = stamp
     return array

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import PointCloud2
 
 from hybridreg_ros.core.errors import ConfigError, HybridRegError
@@ -43,6 +44,7 @@ class LiveReport:
         received_odom: Odometry messages that came back.
         received_dynamic: dynamic clouds that came back; 0 when nobody asked for them.
         received_static: static clouds that came back; 0 when nobody asked for them.
+        received_frames: reports per frame that came back; 0 when nobody asked for them.
         dropped: clouds that the node dropped, by cause.
         seconds: wall time from the first cloud to the last output.
         diagnostics: last message of the node's diagnostics.
@@ -52,6 +54,7 @@ class LiveReport:
     received_odom: int
     received_dynamic: int
     received_static: int
+    received_frames: int = 0
     dropped: Mapping[str, int] = field(default_factory=dict)
     seconds: float = 0.0
     diagnostics: str = ''
@@ -76,13 +79,14 @@ class _Counter:
         self.count += 1
 
 
-def run_live(  # noqa: PLR0913 - three outputs, each optional
+def run_live(  # noqa: PLR0913 - four outputs, each optional
     bag_path: str | Path,
     topic: str | None,
     config: OdometryConfig | None = None,
     on_odom: Callable[[Odometry], None] | None = None,
     on_dynamic: Callable[[PointCloud2], None] | None = None,
     on_static: Callable[[PointCloud2], None] | None = None,
+    on_frame: Callable[[DiagnosticArray], None] | None = None,
     *,
     node_config: NodeConfig | None = None,
     rate: float = 0.0,
@@ -98,9 +102,10 @@ def run_live(  # noqa: PLR0913 - three outputs, each optional
         bag_path: rosbag2 file or directory.
         topic: PointCloud2 topic of the bag; None takes the only one.
         config: settings of the front end.
-        on_odom: receives each Odometry message, in another thread; so do the next two.
+        on_odom: receives each Odometry message, in another thread; so do the next three.
         on_dynamic: receives each cloud of dynamic points; None = not published at all.
         on_static: receives each cloud of static points; None = not published at all.
+        on_frame: receives what each frame says about itself; None = not published at all.
         node_config: settings of the node; queue and QoS are set here.
         rate: speed, 1 = as recorded; 0 = as fast as the node can.
         domain_id: ROS domain, default one derived from the process id.
@@ -119,7 +124,7 @@ def run_live(  # noqa: PLR0913 - three outputs, each optional
         base, input_qos='reliable', input_qos_depth=100, queue_depth=2 * _QUEUE,
         diagnostics_period_s=0.1, publish_tf=False,
     )  # fmt: skip
-    counters = (_Counter(on_odom), _Counter(on_dynamic), _Counter(on_static))
+    counters = tuple(_Counter(taker) for taker in (on_odom, on_dynamic, on_static, on_frame))
     with contextlib.closing(open_bag(bag_path)) as bag:
         name = bag.cloud_topic(topic)
         node_process = NodeProcess((config or OdometryConfig(), settings), space, domain)
@@ -155,14 +160,18 @@ def _drive(
     bag: Any,
     topic: str,
     rate: float,
-    counters: tuple[_Counter, _Counter, _Counter],
+    counters: tuple[_Counter, ...],
     timeout_s: float,
 ) -> LiveReport:
-    odom, dynamic, static = counters
+    odom, dynamic, static, frame = counters
     kept = profile(reliable=True, depth=100)
-    for counter, output in ((dynamic, 'dynamic_points'), (static, 'static_points')):
+    for counter, output, kind in (
+        (dynamic, 'dynamic_points', PointCloud2),
+        (static, 'static_points', PointCloud2),
+        (frame, 'frame', DiagnosticArray),
+    ):
         if counter.wanted:
-            node.create_subscription(PointCloud2, f'hybridreg/{output}', counter, kept)
+            node.create_subscription(kind, f'hybridreg/{output}', counter, kept)
     flow = Flow(node, 'hybridreg', _QUEUE, odom)  # its diagnostics come last: all else is matched
     options = PlayOptions(topics=(topic,), rate=rate, depth=2 * _QUEUE, names={topic: 'points'})
     player = Player(node, bag, options)
@@ -176,7 +185,7 @@ def _drive(
         report = player.play(PlayReport(), _Patience(flow, process, timeout_s).may_send)
         process.wait_until(lambda: flow.under_way <= 0, timeout_s, 'the last clouds')
         expected = report.clouds - sum(flow.dropped.values())
-        wanted = [odom, *(c for c in (dynamic, static) if c.wanted)]
+        wanted = [odom, *(c for c in (dynamic, static, frame) if c.wanted)]
         process.wait_until(
             lambda: all(c.count >= expected for c in wanted), timeout_s, 'the last outputs'
         )
@@ -185,6 +194,7 @@ def _drive(
             received_odom=odom.count,
             received_dynamic=dynamic.count,
             received_static=static.count,
+            received_frames=frame.count,
             dropped=dict(flow.dropped),
             seconds=time.monotonic() - began,
             diagnostics=flow.message,

@@ -8,6 +8,7 @@ import threading
 from collections import deque
 from typing import TYPE_CHECKING, Any
 
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import PointCloud2
@@ -16,6 +17,7 @@ from hybridreg_ros.core.errors import PointCloudError
 from hybridreg_ros.core.pointcloud2 import with_field
 from hybridreg_ros.odometry.result import Source
 from hybridreg_ros.ros.conversions import to_odometry, to_pointcloud2, to_transform
+from hybridreg_ros.ros.diagnostics import of_frame
 from hybridreg_ros.ros.qos import profile, publisher_events
 from hybridreg_ros.ros.transforms import (
     MISSING,
@@ -59,6 +61,7 @@ class Outputs:
         self._static = self._publisher(PointCloud2, '~/static_points', 5)
         self._keyframe = self._publisher(PointCloud2, '~/keyframe', 5)
         self._path = self._publisher(Path, '~/path', 1)
+        self._frame = self._publisher(DiagnosticArray, '~/frame', 10)
         self._lock = threading.Lock()
         self._poses: deque[PoseStamped] = deque(maxlen=config.path_length)
         self._listener: StaticListener | None = None
@@ -109,6 +112,9 @@ class Outputs:
     def publish(self, msg: PointCloud2, result: OdometryResult) -> None:
         """Publish everything that someone listens to for one result."""
         config = self._config
+        if self._frame.get_subscription_count():
+            name = f'{self._node.get_fully_qualified_name().lstrip("/")}: frame'
+            self._frame.publish(of_frame(result, name, msg.header.stamp))
         self._publish_odometry(result, config)
         dynamic = result.dynamic_probability >= self._threshold
         self._publish_cloud(self._dynamic, msg, result, dynamic)

@@ -34,6 +34,13 @@ def test_live_equals_offline(room_bag: Path, tmp_path: Path) -> None:
     assert b['transport']['sent'] == b['transport']['received_odom'] == 12
     assert b['drops'] == []
     assert a['mask'] == b['mask']
+    for ours, theirs in zip(a['per_frame'], b['per_frame'], strict=True):
+        for name in ('stamp', 'source', 'reason', 'dynamic'):
+            assert ours[name] == theirs[name]
+        assert theirs['confidence'] == pytest.approx(ours['confidence'], abs=1e-6)
+        assert theirs['total_ms'] > 0.0
+    assert a['sources'] == b['sources']
+    assert a['reasons'] == b['reasons']
     assert b['trajectory']['step_mean_mm'] == pytest.approx(a['trajectory']['step_mean_mm'], 1e-4)
     with open_bag(offline / 'dynamic.mcap') as x, open_bag(live / 'dynamic.mcap') as y:
         assert x.topics == y.topics

@@ -35,6 +35,26 @@ def test_reassociated_scores_equal_plain_formula(rng: np.random.Generator, reduc
     torch.testing.assert_close(fast, layer.plain_scores(q, table(), bins), atol=1e-4, rtol=1e-4)
 
 
+def test_what_is_kept_of_the_weights_follows_them(rng: np.random.Generator) -> None:
+    config = ModelConfig(**SMALL)
+    table, layer = _layer(config)
+    bins = torch.from_numpy(pairwise_bins(_points(rng), config))
+    q = torch.randn(4, 40, 8)
+    with torch.inference_mode():
+        assert table() is table()
+    for weight in (layer.position.weight, table.angle.weight, table.distance.bias):
+        with torch.no_grad():
+            first = layer.geometric_scores(q, table(), bins)
+            assert table() is table()
+            torch.testing.assert_close(layer.geometric_scores(q, table(), bins), first)
+            weight.add_(0.5)
+            kept = layer.geometric_scores(q, table(), bins)
+        with torch.inference_mode():
+            torch.testing.assert_close(kept, layer.geometric_scores(q, table(), bins))
+        assert (kept - first).abs().max() > 0.01
+        torch.testing.assert_close(kept, layer.geometric_scores(q, table(), bins).detach())
+
+
 def test_table_is_close_to_the_continuous_embedding(rng: np.random.Generator) -> None:
     config = ModelConfig(**SMALL)
     points = _points(rng)

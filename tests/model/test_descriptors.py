@@ -1,42 +1,59 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Descriptor matches: mutual, found again in any order, bounded."""
+"""Descriptor matches: the likeliest first, the same from both sides, bounded."""
 
 from __future__ import annotations
 
+import pytest
 import torch
 
-from hybridreg_ros.model.descriptors import evenly_spread, mutual_neighbours
+from hybridreg_ros.model.descriptors import evenly_spread, likely_pairs
 
 
 def _features(count: int, seed: int = 0) -> torch.Tensor:
     return torch.randn(count, 16, generator=torch.Generator().manual_seed(seed))
 
 
+def _likelihood(x: torch.Tensor, y: torch.Tensor, temperature: float) -> torch.Tensor:
+    """(F, G) by two plain softmaxes."""
+    cosine = torch.nn.functional.normalize(x, dim=1) @ torch.nn.functional.normalize(y, dim=1).T
+    return torch.softmax(cosine / temperature, 0) * torch.softmax(cosine / temperature, 1)
+
+
 def test_shuffled_features_find_themselves() -> None:
     x = _features(50)
     order = torch.randperm(50, generator=torch.Generator().manual_seed(1))
-    index, similarity = mutual_neighbours(x, 3.0 * x[order])
-    assert torch.equal(index[:, 0], torch.arange(50))
+    index, likelihood = likely_pairs(x, 3.0 * x[order], 50, 0.02)
+    assert sorted(index[:, 0].tolist()) == list(range(50))
     assert torch.equal(order[index[:, 1]], index[:, 0])
-    assert torch.allclose(similarity, torch.ones(50))
+    assert float(likelihood.min()) > 0.99
 
 
-def test_pairs_are_mutual_and_the_same_from_both_sides() -> None:
+@pytest.mark.parametrize(('rows', 'columns', 'count'), [(40, 70, 25), (70, 40, 60), (40, 70, 500)])
+def test_they_are_the_largest_of_the_dual_softmax(rows: int, columns: int, count: int) -> None:
+    x, y = _features(rows), _features(columns, 1)
+    index, likelihood = likely_pairs(x, y, count, 0.1)
+    every = _likelihood(x, y, 0.1)
+    torch.testing.assert_close(likelihood, every.flatten().topk(count).values)
+    torch.testing.assert_close(every[index[:, 0], index[:, 1]], likelihood)
+    assert len({tuple(r) for r in index.tolist()}) == count
+
+
+def test_they_are_the_same_from_both_sides() -> None:
     x, y = _features(40), _features(70, 1)
-    there, _ = mutual_neighbours(x, y)
-    back, _ = mutual_neighbours(y, x)
+    there, _ = likely_pairs(x, y, 30, 0.1)
+    back, _ = likely_pairs(y, x, 30, 0.1)
     assert {tuple(r) for r in there.tolist()} == {(j, i) for i, j in back.tolist()}
-    cosine = torch.nn.functional.normalize(x, dim=1) @ torch.nn.functional.normalize(y, dim=1).T
-    for i, j in there.tolist():
-        assert int(cosine[i].argmax()) == j
-        assert int(cosine[:, j].argmax()) == i
-    assert 0 < len(there) < 40
+
+
+def test_fewer_points_than_pairs_wanted() -> None:
+    index, likelihood = likely_pairs(_features(3), _features(4, 1), 500, 0.1)
+    assert len(index) == len(likelihood) == 12
 
 
 def test_large_clouds_are_thinned_evenly() -> None:
-    index, _ = mutual_neighbours(_features(300), _features(300), most=100)
-    assert 0 < len(index) <= 100
+    index, _ = likely_pairs(_features(300), _features(300), 80, 0.05, most=100)
+    assert len(index) == 80
     assert int(index.max()) > 250
     rows = evenly_spread(300, 100)
     assert len(rows) == 100

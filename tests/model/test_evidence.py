@@ -44,7 +44,7 @@ def _evidence(view: View, rng: np.random.Generator) -> Evidence:
     waves = rng.normal(scale=0.1, size=(3, 12))
     features = np.sin(view.points @ waves + rng.uniform(0, 6, 12)).astype(np.float32)
     features /= np.linalg.norm(features, axis=1, keepdims=True)
-    return Evidence(np.ones(count, np.float32), np.arange(count), features)
+    return Evidence(np.zeros(count, np.float32), np.arange(count), features)
 
 
 def test_with_equal_trust_it_is_the_plain_fit(view: View, rng: np.random.Generator) -> None:
@@ -61,7 +61,7 @@ def test_distrusted_points_do_not_count(view: View, rng: np.random.Generator) ->
     points[away, 2] += 30.0
     moved = dataclasses.replace(view, points=points, sample=points[view.rows])
     e = _evidence(view, rng)
-    wary = dataclasses.replace(e, trust=np.where(away, 0.0, 1.0).astype(np.float32))
+    wary = dataclasses.replace(e, sigma2=np.where(away, 1.0, 0.0).astype(np.float32))
     plain, _ = trusted_fit(STAY, (moved, view), (e, e), RADIUS)
     trusted, _ = trusted_fit(STAY, (moved, view), (wary, wary), RADIUS)
     whole, _ = trusted_fit(STAY, (view, view), (e, e), RADIUS)
@@ -88,7 +88,7 @@ def test_resemblance_of_few_meetings_is_small(view: View, rng: np.random.Generat
 
 def test_swapped_clouds_give_the_same(view: View, rng: np.random.Generator) -> None:
     a, b = _evidence(view, rng), _evidence(view, rng)
-    b = dataclasses.replace(b, trust=rng.random(len(b.trust)).astype(np.float32))
+    b = dataclasses.replace(b, sigma2=rng.random(len(b.sigma2)).astype(np.float32))
     T = se3.exp(np.array([0.4, -0.3, 0.2, 0.0, 0.0, 0.01]))
     there = trusted_fit(T, (view, view), (a, b), RADIUS)
     back = trusted_fit(se3.inverse(T), (view, view), (b, a), RADIUS)
@@ -99,9 +99,9 @@ def test_evidence_of_an_encoding(compact_net: HybridRegNet, room: F32) -> None:
     pyramid = build_pyramid(room, 0.05, compact_net.config)
     with torch.no_grad():
         encoding = compact_net.encode(pyramid)
-    sigma2 = np.full(len(pyramid.levels[0].points), 0.25, np.float32)
-    e = Evidence.of(encoding, sigma2)
-    np.testing.assert_allclose(e.trust, 0.75, atol=1e-6)
+    e = Evidence.of(encoding, np.full(len(pyramid.superpoints), 0.25, np.float32))
+    np.testing.assert_allclose(e.sigma2, 0.25, atol=1e-6)
+    assert e.sigma2.shape == (len(pyramid.levels[0].points),)
     np.testing.assert_allclose(np.linalg.norm(e.features, axis=1), 1.0, rtol=1e-5)
     gap = np.abs(pyramid.levels[0].points.numpy() - pyramid.fine_points.numpy()[e.owner])
     assert gap.max() <= 2.0  # a fine point holds what is in its voxel of two finest ones

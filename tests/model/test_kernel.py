@@ -8,7 +8,13 @@ import numpy as np
 import torch
 
 from hybridreg_ros.model.backbone import KPConv
-from hybridreg_ros.model.kernel import KernelOperator, aggregate, kernel_operator, kernel_points
+from hybridreg_ros.model.kernel import (
+    KernelOperator,
+    aggregate,
+    influence_sums,
+    kernel_operator,
+    kernel_points,
+)
 from hybridreg_ros.model.neighbours import CellList
 
 
@@ -53,12 +59,18 @@ def test_gradient_equals_that_of_the_sparse_product(rng: np.random.Generator) ->
     twin = x.detach().clone().requires_grad_()
     out = aggregate(x, operator)
     out.square().sum().backward()
-    dense = torch.sparse_csr_tensor(
-        operator.starts, operator.columns, operator.weights, (25 * 7, 60)
-    ).to_dense()
+    at = torch.stack([operator.rows, operator.columns])
+    dense = torch.zeros(25 * 7, 60).index_put_(tuple(at), operator.weights, accumulate=True)
     (dense @ twin).square().sum().backward()
     torch.testing.assert_close(out, (dense @ twin).view(25, -1))
     torch.testing.assert_close(x.grad, twin.grad)
+
+
+def test_influence_sums_are_what_ones_aggregate_to(rng: np.random.Generator) -> None:
+    operator = _operator(rng)[3]
+    sums = influence_sums(operator)
+    assert float(sums.max()) > 0.0
+    torch.testing.assert_close(sums, aggregate(torch.ones(60, 1), operator))
 
 
 def test_no_gradient_is_made_for_constant_input(rng: np.random.Generator) -> None:

@@ -6,13 +6,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from hybridreg_ros.odometry import cells, objects, segments
+from hybridreg_ros.odometry import objects, segments
 from hybridreg_ros.odometry.config import DynamicsConfig
 from hybridreg_ros.odometry.dynamics import Dynamics
 from hybridreg_ros.odometry.localmap import VoxelLevel
 from hybridreg_ros.odometry.preprocess import SensorModel, certainty
 from hybridreg_ros.odometry.rangeimage import RangeImage, view_of
-from hybridreg_ros.odometry.thinning import first_per_voxel, mean_per_voxel
+from hybridreg_ros.odometry.thinning import first_per_voxel, means_of, occupied, voxel_of
 
 SIZE = 0.1
 FLOOR_M, BOX_M = -1.0, 0.8
@@ -33,7 +33,7 @@ def scene() -> tuple[np.ndarray, np.ndarray]:
 
 def test_a_few_seeds_take_the_whole_box_and_leave_the_floor() -> None:
     points, box = scene()
-    table, slots, keys, counts, cell = cells.occupied(points, SIZE)
+    table, slots, keys, _, counts, cell = occupied(points, SIZE, np.ones(len(points), bool))
     grid = objects.Cells(table, slots, keys, counts, SIZE)
     shape = objects.Shape(*segments.normals(points, cell, *grid.index))
     of_box = np.bincount(cell, weights=box) / np.bincount(cell)
@@ -53,7 +53,7 @@ def test_a_few_seeds_take_the_whole_box_and_leave_the_floor() -> None:
 
 def test_groups_that_are_too_small_are_no_things() -> None:
     points, _ = scene()
-    table, slots, keys, counts, cell = cells.occupied(points, SIZE)
+    table, slots, keys, _, counts, cell = occupied(points, SIZE, np.ones(len(points), bool))
     grid = objects.Cells(table, slots, keys, counts, SIZE)
     few = np.zeros(len(keys), bool)
     few[np.unique(cell[:4])] = True
@@ -63,12 +63,29 @@ def test_groups_that_are_too_small_are_no_things() -> None:
 def test_means_are_those_of_the_points_in_each_cube() -> None:
     rng = np.random.default_rng(3)
     points = rng.uniform(-1, 1, (500, 3)).astype(np.float32)
-    rows = first_per_voxel(points, 0.5)
-    means, counts, cube = mean_per_voxel(points, 0.5, rows)
+    table, slots, keys, rows, counts, cube = occupied(points, 0.5, np.ones(500, bool))
+    means, numbers = means_of(points, cube, len(rows))
     assert counts.sum() == 500
+    assert np.array_equal(counts, numbers)
+    assert np.array_equal(rows, first_per_voxel(points, 0.5))
     assert np.array_equal(cube[rows], np.arange(len(rows)))
+    assert len(np.unique(np.floor(points / 0.5), axis=0)) == len(keys)
     for k in range(len(rows)):
         np.testing.assert_allclose(means[k], points[cube == k].mean(axis=0), atol=1e-6)
+    assert np.array_equal(voxel_of(points, 0.5, np.ones(500, bool), table, slots), cube)
+
+
+def test_the_table_of_voxels_grows_and_points_left_out_stay_out() -> None:
+    rng = np.random.default_rng(7)
+    points = rng.uniform(-40, 40, (30_000, 3)).astype(np.float32)
+    member = rng.uniform(size=30_000) < 0.7
+    table, slots, keys, rows, counts, cube = occupied(points, 1.0, member)
+    expected = np.unique(np.floor(points[member]), axis=0)
+    assert len(keys) == len(expected) > 8192
+    assert counts.sum() == member.sum()
+    assert (cube[~member] == -1).all()
+    assert np.array_equal(np.floor(points[rows])[cube[member]], np.floor(points[member]))
+    assert np.array_equal(voxel_of(points, 1.0, member, table, slots), cube)
 
 
 def test_map_points_average_what_is_measured_around_them() -> None:

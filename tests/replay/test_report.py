@@ -225,6 +225,13 @@ def labelled_cloud(stamp: int, labels: list[int]) -> Any:
     return message(stamp, **vars(cloud))
 
 
+def about_frame(stamp: int, source: str) -> SimpleNamespace:
+    """A report of the node about one frame."""
+    values = {'source': source, 'reason': 'not_needed', 'confidence': '0.75', 'total_ms': '12.5'}
+    pairs = [SimpleNamespace(key=k, value=v) for k, v in values.items()]
+    return message(stamp, status=[SimpleNamespace(values=pairs)])
+
+
 def test_live_recorder_joins_messages_of_any_order_and_thread(tmp_path: Path) -> None:
     recorder = LiveRecorder(tmp_path, 4)
     calls = []
@@ -237,6 +244,8 @@ def test_live_recorder_joins_messages_of_any_order_and_thread(tmp_path: Path) ->
         ]
         if i != 2:
             calls.append((recorder.on_dynamic, labelled_cloud(stamp, [1, 0])))
+        if i in {1, 3}:
+            calls.append((recorder.on_frame, about_frame(stamp, 'kiss_icp' if i == 1 else 'lost')))
     threads = [
         threading.Thread(target=lambda part: [f(m) for f, m in part], args=(calls[k::3],))
         for k in range(3)
@@ -248,7 +257,9 @@ def test_live_recorder_joins_messages_of_any_order_and_thread(tmp_path: Path) ->
     recorder.close()
     frames = recorder.log.frames
     assert [f.stamp for f in frames] == [START + i * PERIOD for i in range(4)]
-    assert [f.source for f in frames] == ['', '', '', 'lost']
+    assert [f.source for f in frames] == ['', 'kiss_icp', '', 'lost']
+    assert [f.reason for f in frames] == ['', 'not_needed', '', 'not_needed']
+    assert (frames[1].confidence, frames[1].seconds) == (0.75, {'total': 0.0125})
     assert frames[0].mask == MaskCounts(tp=1, fp=1, fn=1, tn=2)
     assert frames[2].mask is None, 'its dynamic cloud never came'
     for i, frame in enumerate(frames):

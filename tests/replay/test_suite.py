@@ -214,7 +214,7 @@ def test_distinct_leaves_repetitions_out() -> None:
     def at(x: float) -> Candidate:
         pose = se3.transform(np.eye(3), np.array([x, 0.0, 0.0]))
         fit = Fit(pose, np.eye(6), 1.0, 0.1, True)
-        return Candidate(fit, Evidence(1.0, 1.0, 1.0), Verdict(1.0, None))
+        return Candidate(fit, Evidence(1.0, 1.0, 1.0), Verdict(1.0, None), fit.T_odom_sensor)
 
     assert len(suite_fit._distinct([at(0.0), at(0.002), at(0.5), at(0.501)])) == 2
 

@@ -34,10 +34,11 @@ def offline(path, topic=None):
 
 
 def test_every_frame_comes_back_and_equals_the_offline_run(bag):
-    odom, dynamic, static = [], [], []
+    odom, dynamic, static, frames = [], [], [], []
     report = run_live(
-        bag, '/lidar/points', KISS, odom.append, dynamic.append, static.append, domain_id=domain()
-    )
+        bag, '/lidar/points', KISS, odom.append, dynamic.append, static.append, frames.append,
+        domain_id=domain(),
+    )  # fmt: skip
     expected = offline(bag)
     assert report.sent == report.received_odom == len(odom) == len(expected) == 12
     assert report.received_dynamic == report.received_static == 12
@@ -52,6 +53,13 @@ def test_every_frame_comes_back_and_equals_the_offline_run(bag):
         moving = result.dynamic_probability >= KISS.dynamics.threshold
         np.testing.assert_array_equal(to_scan(d).points, result.scan.points[moving])
         np.testing.assert_array_equal(to_scan(s).points, result.scan.points[~moving])
+    assert report.received_frames == 12
+    for msg, result in zip(frames, expected, strict=True):
+        assert to_ns(msg.header.stamp) == result.stamp
+        said = {item.key: item.value for item in msg.status[0].values}
+        assert (said['source'], said['reason']) == (result.source.value, result.reason.value)
+        assert float(said['confidence']) == pytest.approx(result.confidence, abs=1e-6)
+        assert float(said['total_ms']) > 0.0
 
 
 def test_drops_are_reported_and_the_rest_still_equals(tmp_path):

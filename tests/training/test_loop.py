@@ -52,6 +52,20 @@ def test_five_steps_leave_all_files(tiny_run):
     assert not [f for f in os.listdir(out) if f.startswith('.')]
 
 
+def test_small_numbers_are_flushed_during_training_alone(tiny_run, monkeypatch):
+    seen = []
+    step = Run.step
+    monkeypatch.setattr(Run, 'step', lambda *a: (seen.append(_tiny_product()), step(*a)))
+    train(tiny_run())
+    assert seen == [0.0] * 5
+    assert _tiny_product() > 0.0
+
+
+def _tiny_product() -> float:
+    """1e-30 times 1e-10, which float32 can only hold as a denormal."""
+    return float(torch.tensor(1e-30) * torch.tensor(1e-10))
+
+
 def test_weights_move_and_the_average_lags_behind(tiny_run, tiny_weights):
     config = tiny_run(ema=0.9)
     train(config)

@@ -37,11 +37,6 @@ class Candidates:
     target: F64
     weights: F64
 
-    def best(self, count: int) -> Candidates:
-        """The `count` of largest weight, largest first (ties: first come)."""
-        kept = np.argsort(-self.weights, kind='stable')[:count]
-        return Candidates(self.source[kept], self.target[kept], self.weights[kept])
-
 
 @compiled
 def _compatibility(source: F64, target: F64, tolerance: float) -> F32:

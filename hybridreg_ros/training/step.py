@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from hybridreg_ros.model.superpoints import gaussian_correlation
 from hybridreg_ros.training import losses
 
 if TYPE_CHECKING:
@@ -112,7 +113,9 @@ def fine_descriptor_loss(
 def mask_loss(output: SuperpointOutput, labels: PairLabels, config: LossConfig) -> Tensor:
     """The mask loss that the config names, mean of both clouds."""
     if config.mask in ('nll', 'log_sum_exp'):
-        correlation = torch.exp(2.0 * output.source_features @ output.target_features.T - 2.0)
+        correlation = gaussian_correlation(
+            output.source_features, output.target_features, dual=False
+        )
         overlaps = as_tensor(labels.overlap) > config.positive_overlap
         log_variance = losses.pair_log_variance(output.source_sigma2, output.target_sigma2)
         form = losses.laplace_nll if config.mask == 'nll' else losses.laplace_log_sum_exp

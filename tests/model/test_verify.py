@@ -150,7 +150,8 @@ def test_hypotheses_need_three_matches(rng: np.random.Generator) -> None:
     poses = consistent_hypotheses(matches, 2.0, 5, 10)
     assert poses.shape == (5, 4, 4)
     np.testing.assert_allclose(poses, np.broadcast_to(TRUE, (5, 4, 4)), atol=1e-9)
-    assert consistent_hypotheses(matches.best(2), 2.0, 5, 10).shape == (0, 4, 4)
+    two = Candidates(s[:2], matches.target[:2], matches.weights[:2])
+    assert consistent_hypotheses(two, 2.0, 5, 10).shape == (0, 4, 4)
 
 
 def test_distinct_keeps_the_best_of_each_group() -> None:

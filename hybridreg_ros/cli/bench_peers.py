@@ -31,11 +31,13 @@ def run(args: argparse.Namespace, source: Cloud, target: Cloud) -> int:
     torch.set_num_threads(args.threads)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     from hybridreg_ros.model.register import HybridReg
+    from hybridreg_ros.model.voxel_size import choose_voxel_size_m
 
     model = HybridReg.from_pretrained(args.weights)
     result = model.register(source, target)
     memory_mb = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1e3
-    methods = _methods(model, source, target, result.voxel_size_m)
+    peers_m = choose_voxel_size_m(source, target)
+    methods = _methods(model, source, target, peers_m)
     wall: dict[str, list[float]] = {name: [] for name in methods}
     cpu: dict[str, list[float]] = {name: [] for name in methods}
     for once in methods.values():
@@ -61,13 +63,17 @@ def run(args: argparse.Namespace, source: Cloud, target: Cloud) -> int:
         ]
         for name in methods
     ]
-    print(f'{len(source)} + {len(target)} points, voxel {result.voxel_size_m:g} m')
+    print(
+        f'{len(source)} + {len(target)} points, voxel {result.voxel_size_m:g} m, '
+        f'of the others {peers_m:g} m'
+    )
     print(text_table(rows))
     print(f'memory of one registration: {memory_mb:.0f} MB over the import of torch')
     write_result(
         args,
         {
             'points': [len(source), len(target)],
+            'voxel_m': {'register': result.voxel_size_m, 'others': peers_m},
             'wall_s': wall,
             'cpu_s': cpu,
             'ratio': ratio,

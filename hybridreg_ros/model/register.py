@@ -179,11 +179,15 @@ class HybridReg:
         start = time.perf_counter()
         cloud = _as_cloud(points)
         if voxel_size_m is None:
-            voxel_size_m = self.voxel_size_m = self.voxel_size_m or choose_voxel_size_m(cloud)
+            voxel_size_m = self.voxel_size_m = self.voxel_size_m or self._voxel_m(cloud)
         pyramid = build_pyramid(cloud, float(voxel_size_m), self.config)
         with torch.no_grad():
             encoding = self.net.encode(pyramid)
         return EncodedCloud(encoding, view_of(pyramid), len(cloud), time.perf_counter() - start)
+
+    def _voxel_m(self, *clouds: NDArray[np.float32]) -> float:
+        """Finest voxel for clouds that nobody gave one for, metres."""
+        return self.config.voxel_factor * choose_voxel_size_m(*clouds)
 
     def register(
         self, source: ArrayLike, target: ArrayLike, voxel_size_m: float | None = None
@@ -194,14 +198,14 @@ class HybridReg:
             source: (N, 3) source frame, metres; rows with NaN or inf are allowed.
             target: (M, 3) target frame, metres.
             voxel_size_m: finest voxel; None chooses one from both clouds (0.05 m in rooms, 0.3 m
-                in streets).
+                in streets, times `ModelConfig.voxel_factor`).
 
         Raises:
             RegistrationError: a cloud has too few points or no extent, or is not in metres.
         """
         start = time.perf_counter()
         clouds = _as_cloud(source), _as_cloud(target)
-        voxel = choose_voxel_size_m(*clouds) if voxel_size_m is None else float(voxel_size_m)
+        voxel = self._voxel_m(*clouds) if voxel_size_m is None else float(voxel_size_m)
         with ThreadPoolExecutor(1) as beside:
             second = beside.submit(self.encode, clouds[1], voxel)
             encoded = self.encode(clouds[0], voxel), second.result()

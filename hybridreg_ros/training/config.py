@@ -93,6 +93,9 @@ class LossConfig:
     match_radius_voxels: float = option(
         1.5, 'fine points closer than this are matches, finest voxels', low=0.1, high=10.0
     )
+    masked_correlation: bool = option(
+        False, "superpoint cross-entropy of the correlation as the mask weighs it (paper's step h)"
+    )
     max_patch_pairs: int = option(64, 'patch pairs per pair in the point loss', low=1, high=1024)
     max_anchors: int = option(256, 'anchors per pair in the InfoNCE loss', low=1, high=4096)
 
@@ -140,6 +143,9 @@ class TrainConfig:
     )  # fmt: skip
     curriculum_pairs: int = option(
         2000, 'pairs over which the smallest overlap drawn falls from 0.4 to nothing', low=0
+    )
+    low_overlap_share: float = option(
+        0.0, 'share of draws that keep the one of two pairs that overlaps less', low=0.0, high=1.0
     )
     max_points: int = option(
         4000, 'finest-level points per cloud in training; more are thinned', low=500

@@ -14,7 +14,11 @@ LOG_2 = 0.6931471805599453
 
 
 def overlap_cross_entropy(
-    similarity: Tensor, overlap: Tensor, temperature: float = 0.07, positive: float = 0.1
+    similarity: Tensor,
+    overlap: Tensor,
+    temperature: float = 0.07,
+    positive: float = 0.1,
+    weight: Tensor | None = None,
 ) -> Tensor:
     """Cross-entropy over the rows and the columns of the superpoint similarity.
 
@@ -26,12 +30,16 @@ def overlap_cross_entropy(
         overlap: (N, M) true overlap of the patches, [0, 1].
         temperature: of the softmax.
         positive: overlaps below this are no positives.
+        weight: (N, M) factors of the softmax's terms, > 0: those of the mask, so that the loss is
+            that of the masked correlation. None: all 1.
 
     Returns:
         Scalar; zero (with a gradient of zero) when nothing overlaps.
     """
     target = torch.where(overlap > positive, overlap, torch.zeros_like(overlap))
     logits = similarity / temperature
+    if weight is not None:
+        logits = logits + weight.log()
     rows = _soft_cross_entropy(logits, target)
     columns = _soft_cross_entropy(logits.T, target.T)
     return 0.5 * (rows + columns)

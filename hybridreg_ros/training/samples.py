@@ -11,6 +11,9 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import logging
+import os
+import threading
+import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -70,8 +73,9 @@ def prepare(
     Raises:
         RegistrationError: a cloud has too few points.
     """
-    source = build_pyramid(pair.source, pair.voxel_size_m, model)
-    target = build_pyramid(pair.target, pair.voxel_size_m, model)
+    voxel_m = model.voxel_factor * pair.voxel_size_m
+    source = build_pyramid(pair.source, voxel_m, model)
+    target = build_pyramid(pair.target, voxel_m, model)
     labels = pair_labels(
         patches_of(source, pair.source_label),
         patches_of(target, pair.target_label),
@@ -166,11 +170,16 @@ class SampleStream(IterableDataset[Sample]):
             return dataclasses.replace(made, pair=_without_points(pair))
 
     def _draw(self, source: ShardSource, number: int, rng: np.random.Generator) -> PointPair:
-        """A random pair; early in a run those with much overlap only (as far as there are any)."""
+        """A random pair; early in a run those with much overlap only (as far as there are any).
+
+        In a share of the draws it is the one of two that overlaps less.
+        """
         late = number / max(self._config.curriculum_pairs, 1)
         smallest = CURRICULUM_OVERLAP * max(0.0, 1.0 - late)
         for _ in range(CURRICULUM_TRIES):
             pair = source.draw(rng)
+            if self._config.low_overlap_share > rng.random():
+                pair = min(pair, source.draw(rng), key=lambda p: p.overlap)
             if pair.overlap >= smallest:
                 break
         return pair
@@ -192,6 +201,18 @@ def _alone(sample: Any) -> Any:
     return sample
 
 
+def _end_with_parent(worker: int) -> None:
+    """Let a prefetching process end when its trainer is killed: its full queue would hold it."""
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(0)
+
+    threading.Thread(target=watch, name=f'watch {worker}', daemon=True).start()
+
+
 def loader(stream: SampleStream, workers: int) -> Iterator[Sample]:
     """Samples of a stream, in order, prefetched by worker processes (0 = in this process)."""
     return iter(
@@ -200,6 +221,7 @@ def loader(stream: SampleStream, workers: int) -> Iterator[Sample]:
             batch_size=None,
             collate_fn=_alone,
             num_workers=workers,
+            worker_init_fn=_end_with_parent,
             prefetch_factor=6 if workers else None,
         )
     )

@@ -10,10 +10,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from hybridreg_ros.model.superpoints import gaussian_correlation
+from hybridreg_ros.model.superpoints import gaussian_correlation, pair_weights
 from hybridreg_ros.training import losses
 
 if TYPE_CHECKING:
+    from hybridreg_ros.model.config import ModelConfig
     from hybridreg_ros.model.network import Encoding, HybridRegNet, SuperpointOutput
     from hybridreg_ros.training.config import LossConfig
     from hybridreg_ros.training.labels import PairLabels
@@ -48,7 +49,7 @@ def pair_losses(network: HybridRegNet, sample: Sample, config: LossConfig) -> Lo
     coarse_out = network.correlate(source, target)
     labels = sample.labels
     zero = coarse_out.source_features.sum() * 0.0
-    coarse = coarse_loss(coarse_out, labels, config)
+    coarse = coarse_loss(coarse_out, labels, config, network.config)
     fine = zero
     if config.fine_weight > 0.0 and len(labels.pair_source):
         pairs = torch.stack([as_tensor(labels.pair_source), as_tensor(labels.pair_target)], dim=1)
@@ -76,14 +77,24 @@ def as_tensor(value: object) -> Tensor:
     return value
 
 
-def coarse_loss(output: SuperpointOutput, labels: PairLabels, config: LossConfig) -> Tensor:
-    """Weighted superpoint losses: cross-entropy, circle loss, or both."""
+def coarse_loss(
+    output: SuperpointOutput, labels: PairLabels, config: LossConfig, model: ModelConfig
+) -> Tensor:
+    """Weighted superpoint losses: cross-entropy, circle loss, or both.
+
+    With `config.masked_correlation` the cross-entropy is that of the correlation as the mask
+    weighs it; only the features learn from it, the mask has its own loss.
+    """
     similarity = output.source_features @ output.target_features.T
     overlap = as_tensor(labels.overlap)
     total = similarity.sum() * 0.0
+    weight = None
+    if config.masked_correlation:
+        sigma2 = output.source_sigma2.detach(), output.target_sigma2.detach()
+        weight = pair_weights(*sigma2, model.mask_combination, model.mask_exponent)
     if config.coarse != 'circle':
         total = total + config.coarse_weight * losses.overlap_cross_entropy(
-            similarity, overlap, config.temperature, config.positive_overlap
+            similarity, overlap, config.temperature, config.positive_overlap, weight
         )
     if config.coarse != 'cross_entropy':
         total = total + config.circle_weight * losses.overlap_circle_loss(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from label_truth import SIGMAS, check_labels
+from label_truth import SIGMAS, LabelCheck, check_labels
 
 from hybridreg_ros.core.se3 import exp
 from hybridreg_ros.data.hybridmatch import SPLITS, make_samples
@@ -82,23 +82,28 @@ def test_truth_tells_how_points_move() -> None:
     np.testing.assert_allclose(still.truth.flow(pair), 0.0, atol=1e-6)
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-@pytest.mark.parametrize('split', SPLITS)
-def test_labels_are_right_on_fifty_pairs(split: str) -> None:
-    found = []
+def fifty_that_tell(split: str) -> list[LabelCheck]:
+    """The first pairs of a split, up to the fiftieth that has surfaces both clouds see."""
+    found: list[LabelCheck] = []
     for seed in range(SEED + 100, SEED + 500):
         found += [check_labels(sample) for sample in make_samples(split, seed)]
-        if len(found) >= 50:
-            break
-    assert len(found) >= 50
+        if np.isfinite([f.static for f in found]).sum() >= 50:
+            return found
+    raise AssertionError(f'{len(found)} pairs of {split} in 400 scenes, too few that can tell')
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize('split', SPLITS)
+def test_labels_are_right_on_fifty_pairs(split: str) -> None:
+    found = fifty_that_tell(split)
     static, stray, carried, left = (
         np.array([getattr(f, name) for f in found])
         for name in ('static', 'stray', 'carried', 'left')
     )
     told = ~np.isnan(static)
-    assert told.mean() > 0.6, 'most pairs have surfaces that both clouds see'
-    # In parks two of fifty pairs share little but foliage, which is no surface.
+    # Two lidars far apart in a park share little but foliage, which is no surface.
+    assert told.mean() > (0.9 if 'lomatch' not in split or split.startswith('room') else 0.25)
     room = split.startswith('room')
     assert (static[told] < SIGMAS).mean() >= (1.0 if room else 0.95)
     assert np.median(static[told]) < (1.0 if room else 1.5)

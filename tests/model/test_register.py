@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -62,6 +63,17 @@ def test_encode_keeps_the_first_voxel_size(compact_net: HybridRegNet, room: np.n
     second = model.encode(1.2 * room)
     assert first.voxel_size_m == second.voxel_size_m == model.voxel_size_m
     assert model.match(second, first).T_keyframe_scan.shape == (4, 4)
+
+
+def test_voxel_factor_is_that_of_the_weights(compact_net: HybridRegNet, room: np.ndarray) -> None:
+    config = dataclasses.replace(compact_net.config, voxel_factor=1.3)
+    model = HybridReg(config, compact_net)
+    suits = choose_voxel_size_m(room)
+    assert model.encode(room).voxel_size_m == pytest.approx(1.3 * suits)
+    assert model.register(room, room + SHIFT_M).voxel_size_m == pytest.approx(
+        1.3 * choose_voxel_size_m(room, room + SHIFT_M)
+    )
+    assert model.register(room, room + SHIFT_M, 0.05).voxel_size_m == 0.05
 
 
 def test_unrelated_clouds_get_low_confidence(model: HybridReg, rng: np.random.Generator) -> None:

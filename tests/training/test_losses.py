@@ -45,6 +45,22 @@ def test_overlap_cross_entropy_against_loops(pair):
     assert value.item() == pytest.approx(0.5 * (rows + columns), rel=1e-5)
 
 
+def test_masked_cross_entropy_is_that_of_the_weighted_softmax(pair):
+    s, overlap = pair
+    plain = losses.overlap_cross_entropy(s, overlap, 0.1, 0.1)
+    same = losses.overlap_cross_entropy(s, overlap, 0.1, 0.1, torch.full_like(s, 0.3))
+    assert same.item() == pytest.approx(plain.item(), rel=1e-5)
+    weight = torch.rand(s.shape, generator=torch.Generator().manual_seed(2)) + 0.1
+    value = losses.overlap_cross_entropy(s, overlap, 0.1, 0.1, weight)
+    moved = (s + 0.1 * weight.log()).detach().double()
+    rows, columns = (
+        naive_cross_entropy(m, o, 0.1, 0.1) for m, o in ((moved, overlap), (moved.T, overlap.T))
+    )
+    assert value.item() == pytest.approx(0.5 * (rows + columns), rel=1e-5)
+    helped = torch.where(overlap > 0.1, 1.0, 0.01)
+    assert losses.overlap_cross_entropy(s, overlap, 0.1, 0.1, helped) < plain
+
+
 def naive_circle(s, overlap, scale):
     rows = []
     for i in range(s.shape[0]):

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -100,6 +104,62 @@ def test_curriculum_starts_with_much_overlap(tiny_run, tmp_path):
     early, late = (iter(SampleStream(config, TINY, start=s)) for s in (0, 5000))
     assert {next(early).pair.overlap for _ in range(8)} == {0.9}
     assert {next(late).pair.overlap for _ in range(12)} == {0.1, 0.9}
+
+
+def test_low_overlap_is_drawn_more_often_when_asked(tiny_run, tmp_path):
+    pairs = [dataclasses.replace(make_pair(s), overlap=o) for s, o in ((0, 0.1), (1, 0.9))]
+    write_shard(tmp_path / '0.hrs', [encode_pair(p) for p in pairs])
+    low = {}
+    for share in (0.0, 1.0):
+        config = tiny_run(data=(str(tmp_path),), curriculum_pairs=1, low_overlap_share=share)
+        stream = iter(SampleStream(config, TINY, start=10))
+        low[share] = sum(next(stream).pair.overlap == 0.1 for _ in range(40))
+    assert 10 <= low[0.0] <= 29  # expected 20
+    assert 24 <= low[1.0] <= 38  # expected 30
+    assert low[1.0] > low[0.0]
+
+
+def test_prefetching_ends_when_the_trainer_is_killed(shards):
+    code = f"""
+import dataclasses, multiprocessing, sys, time
+from hybridreg_ros.model.config import ModelConfig
+from hybridreg_ros.training.config import TrainConfig
+from hybridreg_ros.training.samples import SampleStream, loader
+config = TrainConfig(data=({str(shards / 'train')!r},))
+samples = loader(SampleStream(config, ModelConfig()), 1)
+next(samples)
+print(multiprocessing.active_children()[0].pid, flush=True)
+time.sleep(60)
+"""
+    trainer = subprocess.Popen([sys.executable, '-c', code], stdout=subprocess.PIPE, text=True)
+    assert trainer.stdout is not None
+    worker = int(trainer.stdout.readline())
+    assert alive(worker)
+    trainer.kill()
+    trainer.wait()
+    end = time.monotonic() + 30.0
+    while alive(worker) and time.monotonic() < end:
+        time.sleep(0.1)
+    assert not alive(worker)
+
+
+def alive(pid):
+    """Whether a process runs (one that ended and waits to be collected does not)."""
+    try:
+        return Path(f'/proc/{pid}/stat').read_text().rsplit(')', 1)[1].split()[0] != 'Z'
+    except FileNotFoundError:
+        return False
+
+
+def test_voxel_factor_makes_coarser_pyramids():
+    pair = make_pair(0)
+    coarse = dataclasses.replace(TINY, voxel_factor=1.5)
+    fine, thick = (
+        prepare(pair, c, LossConfig(), np.random.default_rng(0)) for c in (TINY, coarse)
+    )
+    assert fine.source.voxel_size_m == pytest.approx(0.1)
+    assert thick.source.voxel_size_m == pytest.approx(0.15)
+    assert len(thick.source.fine_points) < len(fine.source.fine_points)
 
 
 def test_new_shards_are_found(tmp_path, monkeypatch):

@@ -40,7 +40,7 @@ class ConfidenceFeatures:
             of the logistic model, see `Calibration.probability`.
         fit: share of both clouds that lies on the other, nearer counts more.
         intrusion: share of both clouds in space that the other's sensor looked through.
-        lead: of the pose over the best one that differs, as a share of its score.
+        lead: of the pose over the best one that differs, 1 less the ratio of their odds.
         agreement: share of the descriptor matches that agree.
         matched: log(1 + descriptor matches that agree).
         trusted: the fit with every point weighted by the network's trust in it.

@@ -14,7 +14,8 @@ from hybridreg_ros.core.errors import ConfigError
 class ModelConfig:
     """Sizes and choices of HybridReg; lengths are in voxels of the finest level.
 
-    Level l has voxels of 2^l finest voxels. The defaults are the profile `compact`.
+    Level l has voxels of 2^l finest voxels. The defaults are the profile `compact` but for the
+    voxel factor, which weights from before there was one do not name.
     """
 
     # pyramid
@@ -109,7 +110,7 @@ class ModelConfig:
             ConfigError: no such profile.
         """
         if name == 'compact':
-            return cls()
+            return cls(voxel_factor=1.3)
         if name == 'paper':
             return cls(
                 max_superpoints=2048,

@@ -11,7 +11,7 @@ import numpy as np
 from torch.nn import functional
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.model.grid import cell_point, moved
+from hybridreg_ros.model.grid import cell_point, cosine, moved
 from hybridreg_ros.model.ops import compiled
 from hybridreg_ros.model.spread import spread_to_level0
 
@@ -100,13 +100,8 @@ def _one_way(
         d2 = (fixed[0][j, 0] - x) ** 2 + (fixed[0][j, 1] - y) ** 2 + (fixed[0][j, 2] - z) ** 2
         if d2 >= r2:
             continue
-        cosine = 0.0
-        for k in range(3):
-            turned = 0.0
-            for m in range(3):
-                turned += T[k, m] * moving[1][r, m]
-            cosine += turned * fixed[1][j, k]
-        total += trust * (1.0 - d2 / r2) * cosine * cosine
+        square = cosine(T, moving[1], r, fixed[1], j) ** 2
+        total += trust * (1.0 - d2 / r2) * square
         alike += _alike(own[2][own[1][r]], other[2][other[1][j]])
         met += 1.0
     return total / max(weight, 1e-9), alike / met

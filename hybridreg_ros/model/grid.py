@@ -35,6 +35,18 @@ def moved(T: F64, x: float, y: float, z: float) -> tuple[float, float, float]:
 
 
 @compiled
+def cosine(T: F64, normals: F32, i: int, others: F32, j: int) -> float:
+    """Cosine of the angle between normal i, turned by a transform (4, 4), and another normal j."""
+    total = 0.0
+    for k in range(3):
+        turned = 0.0
+        for m in range(3):
+            turned += T[k, m] * normals[i, m]
+        total += turned * others[j, k]
+    return total
+
+
+@compiled
 def cell_point(x: float, y: float, z: float, space: Space) -> int:
     """The point that a grid (`Grid.space`) knows for a place, -1 for none."""
     grid, low, cell = space

@@ -24,7 +24,7 @@ from hybridreg_ros.model.estimators import (
 from hybridreg_ros.model.pyramid import Pyramid, metric_transform
 from hybridreg_ros.model.superpoints import SuperpointPairs, select_pairs
 from hybridreg_ros.model.transport import Transport
-from hybridreg_ros.model.uncertainty import MaskHead, sigma2_of
+from hybridreg_ros.model.uncertainty import MaskHead, sigma2_of, static_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -103,6 +103,8 @@ class MatchOutput:
         inliers: (C,) bool, matches within the acceptance radius of the transform.
         source_sigma2: (S,) float32 uncertainty per superpoint.
         target_sigma2: (T,) float32.
+        source_static: (S,) float32 P(static) per superpoint.
+        target_static: (T,) float32.
         pairs: superpoint pairs that were opened, with their scores.
         matches: the point matches in voxels.
         estimate: pose of LGR (or RANSAC) with its statistics, in voxels.
@@ -115,6 +117,8 @@ class MatchOutput:
     inliers: NDArray[np.bool_]
     source_sigma2: NDArray[np.float32]
     target_sigma2: NDArray[np.float32]
+    source_static: NDArray[np.float32]
+    target_static: NDArray[np.float32]
     pairs: SuperpointPairs
     matches: PointMatches
     estimate: PoseEstimate
@@ -217,6 +221,8 @@ class HybridRegNet(nn.Module):
             estimate.inliers,
             coarse.source_sigma2.cpu().numpy(),
             coarse.target_sigma2.cpu().numpy(),
+            static_of(coarse.source_logits).cpu().numpy(),
+            static_of(coarse.target_logits).cpu().numpy(),
             pairs,
             matches,
             estimate,

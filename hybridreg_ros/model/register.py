@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,13 +14,15 @@ import torch
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.model.checkpoint import load_checkpoint, packaged_weights
-from hybridreg_ros.model.confidence import Calibration, ConfidenceFeatures, features_of
+from hybridreg_ros.model.confidence import Calibration, features_of
 from hybridreg_ros.model.estimators import judged
 from hybridreg_ros.model.evidence import Evidence, trusted_fit
-from hybridreg_ros.model.network import Encoding, HybridRegNet
+from hybridreg_ros.model.network import HybridRegNet
 from hybridreg_ros.model.posterior import posterior_sigma2
 from hybridreg_ros.model.pyramid import build_pyramid, metric_transform
 from hybridreg_ros.model.refine import refine
+from hybridreg_ros.model.result import Correspondences, EncodedCloud, RegistrationResult
+from hybridreg_ros.model.score import Opinion
 from hybridreg_ros.model.spread import values_of_inputs
 from hybridreg_ros.model.verify import descriptor_matches, propose, verify, view_of
 from hybridreg_ros.model.voxel_size import choose_voxel_size_m
@@ -38,92 +39,8 @@ if TYPE_CHECKING:
     from hybridreg_ros.model.network import MatchOutput
     from hybridreg_ros.model.refine import Refinement
     from hybridreg_ros.model.verify import Proposals, Verified
-    from hybridreg_ros.model.views import View
 
     F64 = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class EncodedCloud:
-    """A cloud that is ready to be matched with others; keep it with a keyframe.
-
-    Attributes:
-        encoding: what the network keeps of it.
-        view: what verification and refinement keep of it.
-        size: number of input points, NaN rows included.
-        encode_s: seconds it took.
-    """
-
-    encoding: Encoding
-    view: View
-    size: int
-    encode_s: float
-
-    @property
-    def voxel_size_m(self) -> float:
-        """Metres per finest voxel."""
-        return self.encoding.pyramid.voxel_size_m
-
-
-@dataclass(frozen=True, eq=False)
-class Correspondences:
-    """Matched points.
-
-    Attributes:
-        source: (C, 3) float32, source frame, metres.
-        target: (C, 3) float32, target frame, metres.
-        weights: (C,) float32 in [0, 1].
-    """
-
-    source: NDArray[np.float32]
-    target: NDArray[np.float32]
-    weights: NDArray[np.float32]
-
-    def __len__(self) -> int:
-        """Number of correspondences C."""
-        return len(self.weights)
-
-
-@dataclass(frozen=True, eq=False)
-class RegistrationResult:
-    """Outcome of one registration.
-
-    Attributes:
-        T_target_source: (4, 4) float64, metres, refined.
-        confidence: P(T_target_source right), [0, 1].
-        source_uncertainty: (N,) float32 sigma2 in [0, 1] of every input point; 1 = do not trust
-            (moving, deforming, not seen by the other cloud, or NaN in the input): the network's
-            mask, corrected by where the point lies once the pose is known.
-        target_uncertainty: (M,) float32.
-        correspondences: point matches of the network.
-        T_lgr: (4, 4) float64, metres, pose of the point matches alone, before verification and
-            refinement.
-        inliers: number of correspondences that agree with the pose before its refinement.
-        voxel_size_m: finest voxel used.
-        features: what the confidence was computed from.
-        timings_s: seconds per stage: encode, network, verify, refine, total.
-    """
-
-    T_target_source: NDArray[np.float64]
-    confidence: float
-    source_uncertainty: NDArray[np.float32]
-    target_uncertainty: NDArray[np.float32]
-    correspondences: Correspondences
-    T_lgr: NDArray[np.float64]
-    inliers: int
-    voxel_size_m: float
-    features: ConfidenceFeatures
-    timings_s: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def T_keyframe_scan(self) -> NDArray[np.float64]:
-        """`T_target_source` by the name that odometry gives it (source = scan)."""
-        return self.T_target_source
-
-    @property
-    def uncertainty(self) -> NDArray[np.float32]:
-        """`source_uncertainty` by the name that odometry gives it."""
-        return self.source_uncertainty
 
 
 class HybridReg:
@@ -226,7 +143,7 @@ class HybridReg:
         start = time.perf_counter()
         views = source.view, target.view
         with ThreadPoolExecutor(1) as beside:
-            proposed = beside.submit(_proposals, source, target) if self._verifies else None
+            proposed = beside.submit(proposals_of, source, target) if self._verifies else None
             with torch.no_grad():
                 found = self.net.match(source.encoding, target.encoding)
             middle = time.perf_counter()
@@ -234,7 +151,13 @@ class HybridReg:
             estimate, verified = found.estimate, None
             if proposed is not None:
                 matches, proposals = proposed.result()
-                verified = verify(proposals, estimate.V_target_source, matches, views)
+                verified = verify(
+                    proposals,
+                    estimate.V_target_source,
+                    matches,
+                    views,
+                    opinions_of(source, target, found) if self.config.use_mask else None,
+                )
                 estimate = judged(
                     verified.V_target_source, found.matches, self.config.acceptance_radius
                 )
@@ -288,10 +211,20 @@ class HybridReg:
         )
 
 
-def _proposals(source: EncodedCloud, target: EncodedCloud) -> tuple[Candidates, Proposals]:
+def proposals_of(source: EncodedCloud, target: EncodedCloud) -> tuple[Candidates, Proposals]:
     """Descriptor matches of two clouds and the poses they suggest."""
     matches = descriptor_matches(source.encoding, target.encoding)
     return matches, propose(matches, (source.view, target.view))
+
+
+def opinions_of(
+    source: EncodedCloud, target: EncodedCloud, found: MatchOutput
+) -> tuple[Opinion, Opinion]:
+    """What the mask says of the points of both clouds by which poses are judged."""
+    return (
+        Opinion.of(source.view, source.encoding.pyramid, found.source_sigma2, found.source_static),
+        Opinion.of(target.view, target.encoding.pyramid, found.target_sigma2, found.target_static),
+    )
 
 
 def _evidence(

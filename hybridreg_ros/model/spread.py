@@ -49,8 +49,10 @@ def _interpolate(
     return out
 
 
-def spread_to_level0(pyramid: Pyramid, values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Interpolate one value per superpoint to every finest point.
+def spread_to_level0(
+    pyramid: Pyramid, values: NDArray[np.float32], rows: NDArray[np.int64] | None = None
+) -> NDArray[np.float32]:
+    """Interpolate one value per superpoint to every finest point, or to those listed.
 
     Each takes the mean of its three nearest superpoints, weighted by inverse distance; one that
     is far from all takes the value of the nearest.
@@ -58,11 +60,13 @@ def spread_to_level0(pyramid: Pyramid, values: NDArray[np.float32]) -> NDArray[n
     Args:
         pyramid: the cloud.
         values: (S,) float32.
+        rows: (K,) finest points; None: all N0.
 
     Returns:
-        (N0,) float32.
+        (N0,) or (K,) float32.
     """
     points, super_ = pyramid.levels[0].points.cpu().numpy(), pyramid.superpoints.cpu().numpy()
+    points = points if rows is None else points[rows]
     reach = 2.0 * 2 ** (len(pyramid.levels) - 1)
     near = CellList.build(super_, reach).search(points, reach, 3)
     spread: NDArray[np.float32] = _interpolate(points, super_, near, values)

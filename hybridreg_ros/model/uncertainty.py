@@ -43,6 +43,11 @@ class MaskHead(nn.Module):
         return logits[: len(x)], logits[len(x) :]
 
 
+def static_of(logits: Tensor) -> Tensor:
+    """P(static) (S,) of logits (S, n); with one output P(static and seen), the nearest thing."""
+    return torch.sigmoid(logits[:, 0])
+
+
 def sigma2_of(logits: Tensor) -> Tensor:
     """Uncertainty (S,) in (0, 1) of logits (S, n): one minus the product of their sigmoids."""
     confidence = functional.logsigmoid(logits).sum(dim=1).exp()

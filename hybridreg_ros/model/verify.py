@@ -14,6 +14,7 @@ from hybridreg_ros.model.descriptors import likely_pairs
 from hybridreg_ros.model.estimators import weighted_inliers
 from hybridreg_ros.model.hypotheses import Candidates, consistent_hypotheses, distinct
 from hybridreg_ros.model.polish import polished
+from hybridreg_ros.model.score import Opinion, scores, traces
 from hybridreg_ros.model.views import View, fits, intrusions
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
     F64 = NDArray[np.float64]
 
-_MATCHES = 500
+_MATCHES = 300
 _TEMPERATURE = 0.05
 _TOLERANCE = 2.0
 _NEIGHBOURS = 20
@@ -52,8 +53,8 @@ class Verified:
         V_target_source: (4, 4) float64, voxels.
         fit: share of both clouds that lies on the other, nearer counts more.
         intrusion: share of both clouds in space that the other cloud's sensor looked through.
-        lead: in score over the best pose that differs, as a share of the score; 1 when there is
-            no other.
+        lead: over the best pose that differs, 1 less the ratio of their odds; 1 when there is no
+            other.
         agreement: share of the descriptor matches that agree.
         matched: number of descriptor matches that agree.
         hypotheses: number of poses compared.
@@ -120,13 +121,13 @@ def _ranked(poses: F64, matches: Candidates, views: tuple[View, View]) -> Propos
         (target.grid, _FIT_RADIUS, _ROUGH_ROUNDS[1]),
     ]
     poses = np.concatenate([poses, polished(poses, source, target, stages)])
-    return Proposals(poses, _scores(poses, matches, (source, target)))
+    return Proposals(poses, _rough_scores(poses, matches, (source, target)))
 
 
-def verify(
+def finalists(
     proposals: Proposals, first: F64, matches: Candidates, views: tuple[View, View]
-) -> Verified:
-    """The pose under which two clouds fit best.
+) -> F64:
+    """The best poses that differ, (B, 4, 4), then the same after a fine alignment.
 
     Args:
         proposals: from `propose`.
@@ -138,24 +139,48 @@ def verify(
     given = _ranked(first[None], matches, views)
     poses = np.concatenate([proposals.poses, given.poses])
     rank = np.concatenate([proposals.rank, given.rank])
-    compared = len(poses) // 2
-    probes = source.points[:: max(1, len(source.points) // _PROBES)].astype(np.float64)
-    poses = poses[distinct(poses, rank, probes, _SPACING, _FINALISTS)]
+    poses = poses[distinct(poses, rank, _probes(source), _SPACING, _FINALISTS)]
     last = [(target.grid, _FIT_RADIUS, _FINAL_ROUNDS)]
-    poses = np.concatenate([poses, polished(poses, source, target, last)])
-    scores = _scores(poses, matches, views)
-    order = distinct(poses, scores, probes, _SPACING, 2)
-    T, score = poses[order[0]], max(float(scores[order[0]]), 1e-9)
-    lead = 1.0 if len(order) < 2 else min(max(1.0 - float(scores[order[1]]) / score, 0.0), 1.0)
+    return np.concatenate([poses, polished(poses, source, target, last)])
+
+
+def _probes(view: View) -> F64:
+    """A few points of a view, by which poses are told apart."""
+    return view.points[:: max(1, len(view.points) // _PROBES)].astype(np.float64)
+
+
+def verify(
+    proposals: Proposals,
+    first: F64,
+    matches: Candidates,
+    views: tuple[View, View],
+    opinions: tuple[Opinion, Opinion] | None = None,
+) -> Verified:
+    """The pose under which two clouds fit best.
+
+    Args:
+        proposals: from `propose`.
+        first: (4, 4) a pose to be compared too, that of LGR, voxels.
+        matches: descriptor matches of fine points, voxels.
+        views: source and target.
+        opinions: of the mask; None: all points count the same.
+    """
+    poses = finalists(proposals, first, matches, views)
+    if opinions is None:
+        opinions = Opinion.none(views[0]), Opinion.none(views[1])
+    odds = scores(traces(poses, matches, views, opinions))
+    order = distinct(poses, odds, _probes(views[0]), _SPACING, 2)
+    T = poses[order[0]]
+    lead = 1.0 if len(order) < 2 else 1.0 - float(np.exp(odds[order[1]] - odds[order[0]]))
     matched = _matched(T[None], matches)[0]
     return Verified(
         T,
-        float(fits(T[None], source, target, _FIT_RADIUS)[0]),
-        float(intrusions(T[None], source, target, _MARGIN_VOXELS, _MARGIN_SHARE)[0]),
+        float(fits(T[None], *views, _FIT_RADIUS)[0]),
+        float(intrusions(T[None], *views, _MARGIN_VOXELS, _MARGIN_SHARE)[0]),
         lead,
         float(matched / max(len(matches.weights), 1)),
         int(matched),
-        compared,
+        (len(proposals.poses) + 2) // 2,
     )
 
 
@@ -166,8 +191,8 @@ def _matched(T: F64, matches: Candidates) -> F64:
     return found
 
 
-def _scores(T: F64, matches: Candidates, views: tuple[View, View]) -> F64:
-    """What decides between poses, (B,): fit and agreement less the intrusion into free space."""
+def _rough_scores(T: F64, matches: Candidates, views: tuple[View, View]) -> F64:
+    """What decides between rough poses, (B,): fit and agreement less the intrusion."""
     share = _matched(T, matches) / max(len(matches.weights), 1)
     found: F64 = (
         fits(T, *views, _FIT_RADIUS)

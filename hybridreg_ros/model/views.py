@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hybridreg_ros.model.grid import Grid, cell_point, moved
+from hybridreg_ros.model.grid import Grid, cell_point, cosine, moved
 from hybridreg_ros.model.ops import compiled
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ SAMPLE = 640
 
 
 @compiled
-def _direction_bin(x: float, y: float, z: float, bins: int) -> tuple[int, int, int]:
+def direction_bin(x: float, y: float, z: float, bins: int) -> tuple[int, int, int]:
     """Face of a cube around the sensor, and row and column on it."""
     ax, ay, az = abs(x), abs(y), abs(z)
     if ax >= ay and ax >= az:
@@ -50,7 +50,7 @@ def _range_image(points: F32, sensor: F64, bins: int) -> tuple[F32, F32]:
     image = np.full((6, bins, bins), np.inf, np.float32)
     for i in range(points.shape[0]):
         x, y, z = points[i, 0] - sensor[0], points[i, 1] - sensor[1], points[i, 2] - sensor[2]
-        face, row, column = _direction_bin(x, y, z, bins)
+        face, row, column = direction_bin(x, y, z, bins)
         r = np.sqrt(x * x + y * y + z * z)
         image[face, row, column] = min(image[face, row, column], r)
     near = image.copy()
@@ -150,13 +150,7 @@ def _fit(
             continue
         d2 = (points[j, 0] - x) ** 2 + (points[j, 1] - y) ** 2 + (points[j, 2] - z) ** 2
         if d2 < r2:
-            cosine = 0.0
-            for k in range(3):
-                turned = 0.0
-                for m in range(3):
-                    turned += T[k, m] * sample_normals[i, m]
-                cosine += turned * normals[j, k]
-            total += (1.0 - d2 / r2) * cosine * cosine
+            total += (1.0 - d2 / r2) * cosine(T, sample_normals, i, normals, j) ** 2
     mean: float = total / max(sample.shape[0], 1)
     return mean
 
@@ -170,7 +164,7 @@ def _intrusion(
     for i in range(sample.shape[0]):
         x, y, z = moved(T, sample[i, 0], sample[i, 1], sample[i, 2])
         x, y, z = x - sensor[0], y - sensor[1], z - sensor[2]
-        face, row, column = _direction_bin(x, y, z, image.shape[1])
+        face, row, column = direction_bin(x, y, z, image.shape[1])
         if np.isinf(image[face, row, column]):
             continue
         reach = near[face, row, column]
@@ -181,7 +175,7 @@ def _intrusion(
 
 
 @compiled
-def _inverse(T: F64) -> F64:
+def inverse(T: F64) -> F64:
     """Inverse of a rigid transform (4, 4)."""
     out = np.eye(4)
     for i in range(3):
@@ -197,7 +191,7 @@ def fits(T: F64, source: View, target: View, radius: float) -> F64:
     for b, forward in enumerate(T):
         out[b] = 0.5 * (
             _one_way(forward, source, target, radius)
-            + _one_way(_inverse(forward), target, source, radius)
+            + _one_way(inverse(forward), target, source, radius)
         )
     return out
 
@@ -220,7 +214,7 @@ def intrusions(T: F64, source: View, target: View, margin: float, share: float) 
     """How much of both clouds stands in the other's free space under B transforms, (B,)."""
     out = np.empty(len(T))
     for b, forward in enumerate(T):
-        back = _inverse(forward)
+        back = inverse(forward)
         out[b] = 0.5 * (
             _intrusion(
                 source.sample, forward, target.sensor, target.image, target.near, margin, share

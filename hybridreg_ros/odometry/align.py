@@ -19,6 +19,10 @@ FLATNESS = 0.15
 """A neighbourhood is a plane when its variance across is below this share of the next one."""
 BREADTH = 0.02
 """And not a line: the variance along it is at most 1 / BREADTH times the next one."""
+GRAZING = 0.12
+"""And not seen edge-on (cosine between normal and beam). Of a single ring of a lidar the range
+noise makes a strip, and that lies in the cone of its beams: it would travel along with the sensor
+and hold it where it was."""
 
 
 @_jit
@@ -74,9 +78,12 @@ def fit_around(x, y, z, grid):  # type: ignore[no-untyped-def]
 def fit_surface(voxel, i, grid, wider, update):  # type: ignore[no-untyped-def]
     """Fit the surface of one stored point, on its own level or on a wider one."""
     x, y, z = grid.store[voxel, i, 0], grid.store[voxel, i, 1], grid.store[voxel, i, 2]
+    beam = grid.beam[voxel, i]
     n, nx, ny, nz, offset, variance = fit_around(x, y, z, grid)
-    if n == 0:
+    if n == 0 or abs(nx * beam[0] + ny * beam[1] + nz * beam[2]) < GRAZING:
         n, nx, ny, nz, offset, variance = fit_around(x, y, z, wider)
+        if abs(nx * beam[0] + ny * beam[1] + nz * beam[2]) < GRAZING:
+            n = 0
     grid.kind[voxel, i] = PLANE if n > 0 else POINT
     grid.surface[voxel, i, 0] = nx
     grid.surface[voxel, i, 1] = ny
@@ -85,6 +92,14 @@ def fit_surface(voxel, i, grid, wider, update):  # type: ignore[no-untyped-def]
     grid.surface[voxel, i, 4] = variance
     grid.fitted[voxel, i] = update
     grid.support[voxel, i] = min(n, 30000)
+
+
+@_jit
+def _lasts(support):  # type: ignore[no-untyped-def]
+    """Updates of the map for which a surface stays as it is; 0 while there is none yet."""
+    if support == 0:
+        return 0
+    return 24 if support > 20 else 6
 
 
 @_jit
@@ -115,7 +130,7 @@ def associate(points, R, t, grid, wider, update, kind, anchor, normal, var):  # 
         if voxel < 0:
             continue
         age = update - grid.fitted[voxel, i]
-        if grid.fitted[voxel, i] == 0 or age > (24 if grid.support[voxel, i] > 20 else 6):
+        if grid.fitted[voxel, i] == 0 or age > _lasts(grid.support[voxel, i]):
             fit_surface(voxel, i, grid, wider, update)
         kind[row] = grid.kind[voxel, i]
         offset = grid.surface[voxel, i, 3]

@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.config import GateConfig
 
 
+_STIFF_M = 0.003
+"""Standard deviation, metres, below which a pose counts as held firmly."""
+
+
 @dataclass(frozen=True)
 class Evidence:
     """What speaks for a pose.
@@ -27,13 +31,14 @@ class Evidence:
         overlap: share of the points with a surface of the map nearby, [0, 1].
         seen: share of the points in directions that an earlier scan saw, [0, 1].
         consistent: share of those that stand on what the earlier scan saw there, [0, 1].
-        spread: robust standard deviation of the points about the map's surfaces, in voxels.
+        weakness: log10 of the standard deviation, metres, that the information of the registration
+            leaves along the direction in which the position is held worst (`weakness`).
     """
 
     overlap: float
     seen: float
     consistent: float
-    spread: float = 0.0
+    weakness: float = -2.5
 
 
 @dataclass(frozen=True)
@@ -49,12 +54,23 @@ class Verdict:
     fault: Reason | None
 
 
+def weakness(spread_m: float) -> float:
+    """Evidence of how loosely a pose is held along its worst direction.
+
+    Below some millimetres nothing is gained: a wrong pose in a room of clean planes is stiff too.
+
+    Args:
+        spread_m: standard deviation of the position there, metres.
+    """
+    return float(np.log10(max(spread_m, _STIFF_M)))
+
+
 def of_evidence(evidence: Evidence) -> float:
     """Confidence of a pose that no network vouches for, [0, 1].
 
-    It grows with the share of points that finds the map and falls with their spread about its
-    surfaces; the weights come from `calibration.json`. The share that stands where an earlier scan
-    saw a surface is left out: it is low at right poses where much moves.
+    It grows with the share of points that finds the map and with the share that stands where an
+    earlier scan saw a surface, and falls where the surfaces found leave a direction loose; the
+    weights come from `calibration.json`.
     """
     model = calibration.packaged()
     score = model.bias + sum(w * getattr(evidence, name) for name, w in model.weights.items())

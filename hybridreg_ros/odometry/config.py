@@ -122,7 +122,7 @@ class RefineConfig(Section):
         0.2, 'standard deviation of the velocity off the predicted one, m/s', low=1e-3, high=100.0
     )
     sway_turn_deg: float = option(
-        20.0, 'the same of the angular velocity, degrees/s', low=1e-2, high=1000.0
+        3.0, 'the same of the angular velocity, degrees/s', low=1e-2, high=1000.0
     )
 
 
@@ -203,7 +203,7 @@ class GateConfig(Section):
         45.0, 'largest disagreement with the predicted orientation, degrees', low=0.1, high=180.0
     )
     min_overlap: float = option(
-        0.3, 'share of the points that must find the map after alignment', low=0.0, high=1.0
+        0.2, 'share of the points that must find the map after alignment', low=0.0, high=1.0
     )
     min_seen: float = option(
         0.15, 'share of the points in directions that an earlier scan must have seen',

@@ -45,6 +45,15 @@ def of_pose(information: F64, factor: float) -> F64:
     return 0.5 * (capped + capped.T)
 
 
+def weakest_m(information: F64) -> float:
+    """Standard deviation, metres, of the position along the direction held worst.
+
+    Args:
+        information: (6, 6), 1/m^2 and 1/rad^2.
+    """
+    return float(np.sqrt(np.linalg.eigvalsh(of_pose(information, 1.0)[:3, :3])[-1]))
+
+
 def coasting(covariance: F64, factor: float, floor_m: float) -> F64:
     """Covariance (6, 6) of a pose that is only predicted from one of this covariance.
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _START_VOXELS = 1 << 13
+_PER_VOXEL = ('keys', 'counts', 'store', 'mass', 'beam', 'surface', 'kind', 'fitted', 'support')
 
 
 class VoxelLevel:
@@ -47,18 +48,24 @@ class VoxelLevel:
             counts=np.zeros(voxels, np.int32),
             store=np.zeros((*points, 3), np.float32),
             mass=np.zeros(points, np.float32),
+            beam=np.zeros((*points, 3), np.float32),
             surface=np.zeros((*points, 5), np.float32),
             kind=np.zeros(points, np.int8),
             fitted=np.zeros(points, np.int32),
             support=np.zeros(points, np.int16),
         )
 
-    def add(self, points: NDArray[np.floating], weights: NDArray[np.floating]) -> None:
-        """Add points (N, 3), map frame, metres, with their weights (N,)."""
+    def add(
+        self,
+        points: NDArray[np.floating],
+        weights: NDArray[np.floating],
+        origin: NDArray[np.float64],
+    ) -> None:
+        """Add points (N, 3), map frame, metres, with weights (N,), seen from a place (3,)."""
         row = 0
         while row < len(points):
             self.used, done = voxelmap.insert(
-                points[row:], weights[row:], self._spacing_sq, self.grid, self.used
+                points[row:], weights[row:], origin, self._spacing_sq, self.grid, self.used
             )
             row += done
             if row < len(points):
@@ -87,7 +94,7 @@ class VoxelLevel:
         """Twice as many cubes."""
         old, count = self.grid, len(self.grid.counts)
         self._allocate(2 * count)
-        for name in ('keys', 'counts', 'store', 'mass', 'surface', 'kind', 'fitted', 'support'):
+        for name in _PER_VOXEL:
             getattr(self.grid, name)[:count] = getattr(old, name)
         self.used = voxelmap.keep_near(np.zeros(3), np.inf, self.grid, self.used)
 
@@ -143,7 +150,7 @@ class LocalMap:
         self.updates += 1
         self.changes += 1
         for level in self.levels:
-            level.add(points, given)
+            level.add(points, given, np.asarray(position, np.float64))
         if not np.linalg.norm(position - self._pruned_at) < 0.1 * self._reach_m:
             for level in self.levels:
                 level.keep_near(position, self._reach_m)

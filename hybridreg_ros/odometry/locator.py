@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.core.errors import RegistrationError
-from hybridreg_ros.odometry.confidence import Evidence, Gate, Verdict, judge
+from hybridreg_ros.odometry import covariance
+from hybridreg_ros.odometry.confidence import Evidence, Gate, Verdict, judge, weakness
 from hybridreg_ros.odometry.fallback import Fallback
 from hybridreg_ros.odometry.refine import Fit, refine
 from hybridreg_ros.odometry.result import Reason, Source
@@ -282,7 +283,7 @@ class Locator:
         points = cloud.icp_with(fit.sway)[trust > 0.5]
         evidence = replace(
             self._sightings.evidence(points, fit.T_odom_sensor, fit.overlap),
-            spread=fit.scale_m / self._voxel_m,
+            weakness=weakness(covariance.weakest_m(fit.information)),
         )
         verdict = judge(
             evidence, fit.T_odom_sensor, predicted, dt_s, self._voxel_m, self._config.gate

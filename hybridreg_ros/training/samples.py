@@ -12,6 +12,7 @@ import dataclasses
 import itertools
 import logging
 import os
+import signal
 import threading
 import time
 from dataclasses import dataclass
@@ -208,7 +209,7 @@ def _end_with_parent(worker: int) -> None:
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(1.0)
-        os._exit(0)
+        os.kill(os.getpid(), signal.SIGKILL)
 
     threading.Thread(target=watch, name=f'watch {worker}', daemon=True).start()
 

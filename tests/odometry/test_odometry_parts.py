@@ -11,7 +11,7 @@ from tiny_world import ROOM, Ball, cast, depth_rays, lidar_rays, pose, walk
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import NS_PER_S, Scan
 from hybridreg_ros.odometry import covariance
-from hybridreg_ros.odometry.confidence import Evidence, Gate, judge, of_evidence
+from hybridreg_ros.odometry.confidence import Evidence, Gate, judge, of_evidence, weakness
 from hybridreg_ros.odometry.config import (
     GateConfig,
     InputConfig,
@@ -262,8 +262,10 @@ def test_thing_that_came_stands_in_front() -> None:
 
 
 def test_confidence_orders_evidence_and_judges_faults() -> None:
-    good, poor = Evidence(0.95, 0.9, 0.97, 0.08), Evidence(0.55, 0.9, 0.6, 0.25)
+    good, poor = Evidence(0.95, 0.9, 0.97, -2.7), Evidence(0.55, 0.9, 0.6, -2.0)
     assert of_evidence(good) > 0.95 > 0.75 > of_evidence(poor) > 0.02
+    assert of_evidence(Evidence(0.95, 0.9, 0.97, -1.0)) < 0.5  # nothing holds one direction
+    assert weakness(1e-5) == weakness(0.003) < weakness(0.03) == pytest.approx(-1.523, abs=1e-3)
     gate = GateConfig()
     far = pose(30.0, 0.0, 0.0)
     at = np.eye(4)

@@ -53,7 +53,7 @@ def test_suites_are_as_large_as_promised_and_on_new_seeds() -> None:
 
 
 WITH = '{"confidence": {"bias": 0, "weights": %s}, "covariance_scale": %s}'
-WEIGHTS = '{"overlap": 1, "spread": 1}'
+WEIGHTS = '{"overlap": 1, "consistent": 1, "weakness": 1}'
 
 
 def test_unknown_names_are_errors() -> None:
@@ -167,7 +167,7 @@ def test_plots_show_each_suite_that_was_run(tmp_path: Path) -> None:
 
 def evidences(name: str, seed: int) -> suite_fit.Evidences:
     rng = np.random.default_rng(seed)
-    features = rng.uniform(0.0, 1.0, (400, 2))
+    features = rng.uniform(0.0, 1.0, (400, 3))
     right = rng.uniform(size=400) < 1.0 / (1.0 + np.exp(-(8.0 * features[:, 0] - 4.0)))
     return suite_fit.Evidences(name, features, right, rng.chisquare(6, 300) * 2.0)
 

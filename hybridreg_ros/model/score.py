@@ -1,0 +1,189 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""What decides between poses: how clouds meet, what is in the way, what the mask trusts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybridreg_ros.model.estimators import weighted_inliers
+from hybridreg_ros.model.grid import cell_point, cosine, moved
+from hybridreg_ros.model.ops import compiled
+from hybridreg_ros.model.spread import spread_to_level0
+from hybridreg_ros.model.views import View, direction_bin, inverse
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hybridreg_ros.model.grid import Space
+    from hybridreg_ros.model.hypotheses import Candidates
+    from hybridreg_ros.model.pyramid import Pyramid
+
+    F32 = NDArray[np.float32]
+    F64 = NDArray[np.float64]
+
+_RADIUS, _TIGHT_RADIUS = 1.5, 0.75
+_AGREEMENT_RADIUS = 2.5
+_MARGIN_VOXELS, _MARGIN_SHARE = 3.0, 0.03
+
+TRACES = (
+    'fit',
+    'tight',
+    'trusted',
+    'agreement',
+    'intrusion',
+    'visible',
+    'hold',
+    'contact',
+)
+"""Columns of `traces`:
+
+* fit, tight: how the clouds lie on each other, within 1.5 and 0.75 voxels;
+* trusted: the tight fit, points weighted by the mask;
+* agreement: share of the descriptor matches that agree, weighted by their likelihood;
+* intrusion: share of what stands still that lies in space the other sensor looked through;
+* visible: share of what stands still that the other sensor should see;
+* hold: smallest eigenvalue of the translational information of the contact, 0 = it can slide;
+* contact: log(1 + number of points in contact).
+"""
+
+WEIGHTS = np.array([-2.72, 9.03, 54.40, 10.33, -137.60, -31.30, 9.66, 2.15])
+"""Log-odds per trace, by `scripts/fit_score.py` (see docs/training.md)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Opinion:
+    """What the mask says of the points of a view that are tested, its `sample`.
+
+    Attributes:
+        trust: (K,) float32 P(static and seen by the other cloud).
+        static: (K,) float32 P(static).
+    """
+
+    trust: F32
+    static: F32
+
+    @classmethod
+    def of(cls, view: View, pyramid: Pyramid, sigma2: F32, static: F32) -> Opinion:
+        """Spread what the mask says of the superpoints (S,) of a cloud over its view's sample."""
+        trust, still = (spread_to_level0(pyramid, v, view.rows) for v in (1.0 - sigma2, static))
+        return cls(trust, still)
+
+    @classmethod
+    def none(cls, view: View) -> Opinion:
+        """All points count the same: without a mask."""
+        ones = np.ones(len(view.sample), np.float32)
+        return cls(ones, ones)
+
+
+@compiled
+def _meeting(
+    T: F64,
+    sample: F32,
+    sample_normals: F32,
+    trust: F32,
+    points: F32,
+    normals: F32,
+    space: Space,
+) -> tuple[float, float, float, float, F64]:
+    """Fit, tight fit, trusted tight fit, weight of the contact, and its normals' moments (3, 3).
+
+    A point counts (1 - (distance / radius)^2) cos^2 of the angle between the normals.
+    """
+    fit = tight = trusted = total = contact = 0.0
+    moments = np.zeros((3, 3))
+    for i in range(sample.shape[0]):
+        total += trust[i]
+        x, y, z = moved(T, sample[i, 0], sample[i, 1], sample[i, 2])
+        j = cell_point(x, y, z, space)
+        if j < 0:
+            continue
+        d2 = (points[j, 0] - x) ** 2 + (points[j, 1] - y) ** 2 + (points[j, 2] - z) ** 2
+        if d2 >= _RADIUS**2:
+            continue
+        near, square = 1.0 - d2 / _RADIUS**2, cosine(T, sample_normals, i, normals, j) ** 2
+        fit += near * square
+        close = max(1.0 - d2 / _TIGHT_RADIUS**2, 0.0) * square
+        tight += close
+        trusted += trust[i] * close
+        contact += near * near
+        for k in range(3):
+            for m in range(3):
+                moments[k, m] += near * near * normals[j, k] * normals[j, m]
+    count = max(sample.shape[0], 1)
+    return fit / count, tight / count, trusted / max(total, 1e-9), contact, moments
+
+
+@compiled
+def _sight(
+    sample: F32, static: F32, T: F64, sensor: F64, image: F32, near: F32
+) -> tuple[float, float]:
+    """Share of a sample in space that the other sensor looked through, and that it should see."""
+    intruding = visible = total = 0.0
+    for i in range(sample.shape[0]):
+        total += static[i]
+        x, y, z = moved(T, sample[i, 0], sample[i, 1], sample[i, 2])
+        x, y, z = x - sensor[0], y - sensor[1], z - sensor[2]
+        face, row, column = direction_bin(x, y, z, image.shape[1])
+        if np.isinf(image[face, row, column]):
+            continue
+        reach = near[face, row, column]
+        behind = np.sqrt(x * x + y * y + z * z) - reach
+        margin = _MARGIN_VOXELS + _MARGIN_SHARE * reach
+        if behind < -margin:
+            intruding += static[i]
+        if behind < margin:
+            visible += static[i]
+    total = max(total, 1e-9)
+    return intruding / total, visible / total
+
+
+def traces(
+    T: F64, matches: Candidates, views: tuple[View, View], opinions: tuple[Opinion, Opinion]
+) -> F64:
+    """What speaks for and against poses.
+
+    Args:
+        T: (B, 4, 4) transforms source to target, voxels.
+        matches: descriptor matches of fine points, voxels.
+        views: source and target.
+        opinions: of the mask, of both.
+
+    Returns:
+        (B, 8), columns as in `TRACES`; all but `agreement` are the mean of both ways.
+    """
+    share = weighted_inliers(
+        T, matches.source, matches.target, matches.weights, _AGREEMENT_RADIUS
+    ) / max(float(matches.weights.sum()), 1e-9)
+    out = np.empty((len(T), len(TRACES)))
+    for b, forward in enumerate(T):
+        there = _one_way(forward, *views, opinions[0])
+        back = _one_way(inverse(forward), *views[::-1], opinions[1])
+        fit, tight, trusted, intrusion, visible, hold, contact = 0.5 * (there + back)
+        out[b] = fit, tight, trusted, share[b], intrusion, visible, hold, contact
+    return out
+
+
+def _one_way(T: F64, moving: View, fixed: View, opinion: Opinion) -> F64:
+    """Traces (7,) of one cloud laid on the other; all but the agreement."""
+    *meeting, contact, moments = _meeting(
+        T,
+        moving.sample,
+        moving.sample_normals,
+        opinion.trust,
+        fixed.points,
+        fixed.normals,
+        fixed.grid.space,
+    )
+    sight = _sight(moving.sample, opinion.static, T, fixed.sensor, fixed.image, fixed.near)
+    hold = np.linalg.eigvalsh(moments)[0] / max(contact, 1e-9)
+    return np.array([*meeting, *sight, hold, np.log1p(contact)])
+
+
+def scores(found: F64) -> F64:
+    """Log-odds (B,) of poses, up to a constant, from their traces (B, 8)."""
+    decided: F64 = found @ WEIGHTS
+    return decided

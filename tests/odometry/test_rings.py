@@ -1,0 +1,61 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Rings of a lidar travel along with it: they must not hold its pose where it was."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hybridreg_ros.core import se3
+from hybridreg_ros.core.scan import Scan
+from hybridreg_ros.odometry.align import PLANE
+from hybridreg_ros.odometry.frontend import HybridOdometry
+from hybridreg_ros.odometry.localmap import LocalMap
+from hybridreg_ros.odometry.surfaces import Surfaces
+
+HEIGHT_M = 1.2
+STEP_M = 0.07
+TRUNKS = np.random.default_rng(3).uniform([-14.0, -14.0, 0.12], [14.0, 14.0, 0.35], (12, 3))
+
+
+def ring_scan(x_m: float, seed: int) -> np.ndarray:
+    """What 16 rings see from a place on flat ground between tree trunks, (N, 3), metres."""
+    rng = np.random.default_rng([seed, 5])
+    elevation, azimuth = np.meshgrid(
+        np.deg2rad(np.arange(-15.0, 16.0, 2.0)), np.deg2rad(np.arange(0.0, 360.0, 0.4))
+    )
+    flat = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
+    slope = np.tan(elevation)
+    far = np.where(slope < 0.0, -HEIGHT_M / np.minimum(slope, -1e-6), 60.0)  # horizontal range
+    for cx, cy, radius in TRUNKS - [x_m, 0.0, 0.0]:
+        along = flat @ np.array([cx, cy])
+        off = cx**2 + cy**2 - along**2
+        hit = (along > 0.0) & (off < radius**2)
+        far = np.where(hit, np.minimum(far, along - np.sqrt(np.maximum(radius**2 - off, 0))), far)
+    beams = np.concatenate([flat * np.cos(elevation)[..., None], np.sin(elevation)[..., None]], -1)
+    ranges = far / np.cos(elevation) + rng.normal(0.0, 0.015, far.shape)
+    return (beams * ranges[..., None])[(far < 50.0) & (far > 0.5)].astype(np.float32)
+
+
+def test_a_slow_sensor_with_few_rings_is_seen_to_move() -> None:
+    odometry = HybridOdometry(model=None)
+    for k in range(12):
+        result = odometry.step(Scan(ring_scan(STEP_M * k, k), stamp=k * 100_000_000))
+    moved = result.pose[:3, 3]
+    assert abs(moved[0] - 11 * STEP_M) < 0.1 * 11 * STEP_M
+    assert np.abs(moved[1:]).max() < 0.05
+    assert se3.rotation_angle_deg(result.pose[:3, :3]) < 0.5
+
+
+def test_one_ring_is_no_surface_and_two_rings_of_a_wall_are() -> None:
+    rng = np.random.default_rng(1)
+    y = np.arange(-1.0, 1.0, 0.02)
+    one = np.stack([np.full_like(y, 5.0), y, np.full_like(y, -0.5)], axis=1)
+    one *= 1.0 + rng.normal(0.0, 0.004, (len(y), 1))  # noise along the beam
+    for rings, least, most in (([one], 0.0, 0.0), ([one, one * [1.0, 1.0, 0.3]], 0.9, 1.0)):
+        wall = np.concatenate(rings)
+        local_map = LocalMap(0.2, 100.0, 20, 8.0)
+        local_map.update(wall, np.zeros(3))
+        found = Surfaces(len(wall))
+        found.search(wall, np.eye(4), (local_map.fine, local_map.middle), local_map.updates)
+        assert least <= np.mean(found.kind == PLANE) <= most

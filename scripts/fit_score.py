@@ -12,16 +12,19 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
 from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.data.openers import open_pairs
-from hybridreg_ros.model.register import HybridReg
-from hybridreg_ros.model.score import TRACES, WEIGHTS
+from hybridreg_ros.model.score import TRACES, UNMASKED_WEIGHTS, WEIGHTS
 from hybridreg_ros.training.choice import Contest, contest, fit_weights, held_out_wins, won
+from hybridreg_ros.training.variants import load_variant
+
+if TYPE_CHECKING:
+    from hybridreg_ros.model.register import HybridReg
 
 MOST_OVERLAP = 0.45
 
@@ -73,11 +76,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split('\n')[0])
     parser.add_argument('data', nargs='+', type=Path, help='folders of training shards')
     parser.add_argument('--weights', help='checkpoint instead of ours')
+    parser.add_argument('--no-mask', action='store_true', help='for `use_mask: false`')
     parser.add_argument('--pairs', type=int, default=300, help='of each folder')
     parser.add_argument('--keep', type=Path, default=Path('out/score'), help='folder of traces')
     args = parser.parse_args()
     torch.set_num_threads(1)
-    model = HybridReg.from_pretrained(args.weights)
+    model = load_variant('no-mask' if args.no_mask else 'hybridreg', args.weights)
+    in_use = UNMASKED_WEIGHTS if args.no_mask else WEIGHTS
     parts = [collect(model, d, args.pairs, args.keep / f'{d.name}.npz') for d in args.data]
     contests = [c for part in parts for c in part]
     fitted, held_out = fit_weights(contests), held_out_wins(contests)
@@ -86,7 +91,7 @@ def main() -> None:
     print('|---|---|---|---|---|')
     for folder, part in zip(args.data, parts, strict=True):
         shares = (
-            won(part, WEIGHTS).mean(),
+            won(part, in_use).mean(),
             held_out[start : start + len(part)].mean(),
             np.mean([c.right.any() for c in part]),
         )

@@ -53,6 +53,9 @@ TRACES = (
 WEIGHTS = np.array([-2.72, 9.03, 54.40, 10.33, -137.60, -31.30, 9.66, 2.15])
 """Log-odds per trace, by `scripts/fit_score.py` (see docs/training.md)."""
 
+UNMASKED_WEIGHTS = np.array([-12.88, 31.08, 31.08, 12.17, -55.01, -37.58, 8.12, 3.79])
+"""The same where there is no mask, by `scripts/fit_score.py --no-mask`."""
+
 
 @dataclass(frozen=True, eq=False)
 class Opinion:
@@ -183,7 +186,10 @@ def _one_way(T: F64, moving: View, fixed: View, opinion: Opinion) -> F64:
     return np.array([*meeting, *sight, hold, np.log1p(contact)])
 
 
-def scores(found: F64) -> F64:
-    """Log-odds (B,) of poses, up to a constant, from their traces (B, 8)."""
-    decided: F64 = found @ WEIGHTS
+def scores(found: F64, masked: bool = True) -> F64:
+    """Log-odds (B,) of poses, up to a constant, from their traces (B, 8).
+
+    `masked`: whether the traces were made with the opinions of a mask.
+    """
+    decided: F64 = found @ (WEIGHTS if masked else UNMASKED_WEIGHTS)
     return decided

@@ -166,9 +166,8 @@ def verify(
         opinions: of the mask; None: all points count the same.
     """
     poses = finalists(proposals, first, matches, views)
-    if opinions is None:
-        opinions = Opinion.none(views[0]), Opinion.none(views[1])
-    odds = scores(traces(poses, matches, views, opinions))
+    known = opinions or (Opinion.none(views[0]), Opinion.none(views[1]))
+    odds = scores(traces(poses, matches, views, known), masked=opinions is not None)
     order = distinct(poses, odds, _probes(views[0]), _SPACING, 2)
     T = poses[order[0]]
     lead = 1.0 if len(order) < 2 else 1.0 - float(np.exp(odds[order[1]] - odds[order[0]]))

@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from hybridreg_ros.metrics import registration
 from hybridreg_ros.model.pyramid import metric_transform
 from hybridreg_ros.model.register import opinions_of, proposals_of
-from hybridreg_ros.model.score import TRACES, traces
+from hybridreg_ros.model.score import TRACES, Opinion, traces
 from hybridreg_ros.model.verify import finalists
 from hybridreg_ros.training.validation import overlap_points, threshold_m
 
@@ -49,7 +49,7 @@ class Contest:
 
 
 def contest(model: HybridReg, pair: PointPair) -> Contest:
-    """What the verification of a pair has to choose from.
+    """What the verification of a pair has to choose from; without a mask if the model uses none.
 
     Raises:
         RegistrationError: a cloud has too few points.
@@ -67,9 +67,12 @@ def contest(model: HybridReg, pair: PointPair) -> Contest:
         registration.rmse_m(pair.T_target_source, metric_transform(V, *pyramids), points)
         for V in poses
     ]
+    opinions = Opinion.none(views[0]), Opinion.none(views[1])
+    if model.config.use_mask:
+        opinions = opinions_of(source, target, found)
     return Contest(
         pair.name.rsplit('-', 1)[0],
-        traces(poses, matches, views, opinions_of(source, target, found)),
+        traces(poses, matches, views, opinions),
         np.array(off_m) < threshold_m(pair.voxel_size_m),
     )
 

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     F32 = NDArray[np.float32]
     F64 = NDArray[np.float64]
 
-_RADIUS, _TIGHT_RADIUS = 1.5, 0.75
-_AGREEMENT_RADIUS = 2.5
-_MARGIN_VOXELS, _MARGIN_SHARE = 3.0, 0.03
+FIT_RADIUS, _TIGHT_RADIUS = 1.5, 0.75
+AGREEMENT_RADIUS = 2.5
+MARGIN_VOXELS, MARGIN_SHARE = 3.0, 0.03
 
 TRACES = (
     'fit',
@@ -105,9 +105,9 @@ def _meeting(
         if j < 0:
             continue
         d2 = (points[j, 0] - x) ** 2 + (points[j, 1] - y) ** 2 + (points[j, 2] - z) ** 2
-        if d2 >= _RADIUS**2:
+        if d2 >= FIT_RADIUS**2:
             continue
-        near, square = 1.0 - d2 / _RADIUS**2, cosine(T, sample_normals, i, normals, j) ** 2
+        near, square = 1.0 - d2 / FIT_RADIUS**2, cosine(T, sample_normals, i, normals, j) ** 2
         fit += near * square
         close = max(1.0 - d2 / _TIGHT_RADIUS**2, 0.0) * square
         tight += close
@@ -135,7 +135,7 @@ def _sight(
             continue
         reach = near[face, row, column]
         behind = np.sqrt(x * x + y * y + z * z) - reach
-        margin = _MARGIN_VOXELS + _MARGIN_SHARE * reach
+        margin = MARGIN_VOXELS + MARGIN_SHARE * reach
         if behind < -margin:
             intruding += static[i]
         if behind < margin:
@@ -159,7 +159,7 @@ def traces(
         (B, 8), columns as in `TRACES`; all but `agreement` are the mean of both ways.
     """
     share = weighted_inliers(
-        T, matches.source, matches.target, matches.weights, _AGREEMENT_RADIUS
+        T, matches.source, matches.target, matches.weights, AGREEMENT_RADIUS
     ) / max(float(matches.weights.sum()), 1e-9)
     out = np.empty((len(T), len(TRACES)))
     for b, forward in enumerate(T):

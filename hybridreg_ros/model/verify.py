@@ -14,7 +14,16 @@ from hybridreg_ros.model.descriptors import likely_pairs
 from hybridreg_ros.model.estimators import weighted_inliers
 from hybridreg_ros.model.hypotheses import Candidates, consistent_hypotheses, distinct
 from hybridreg_ros.model.polish import polished
-from hybridreg_ros.model.score import Opinion, scores, traces
+from hybridreg_ros.model.score import (
+    AGREEMENT_RADIUS,
+    FIT_RADIUS,
+    MARGIN_SHARE,
+    MARGIN_VOXELS,
+    TRACES,
+    Opinion,
+    scores,
+    traces,
+)
 from hybridreg_ros.model.views import View, fits, intrusions
 
 if TYPE_CHECKING:
@@ -30,11 +39,7 @@ _TEMPERATURE = 0.05
 _TOLERANCE = 2.0
 _NEIGHBOURS = 20
 _SEEDS = 60
-_AGREEMENT_RADIUS = 2.5
 _SPACING = 4.0
-_FIT_RADIUS = 1.5
-_MARGIN_VOXELS = 3.0
-_MARGIN_SHARE = 0.03
 _INTRUSION_WEIGHT = 3.0
 _WIDE_RADIUS = 3.0
 _ROUGH_EVERY = 3
@@ -118,7 +123,7 @@ def _ranked(poses: F64, matches: Candidates, views: tuple[View, View]) -> Propos
     source, target = (view.thinned(_ROUGH_EVERY) for view in views)
     stages = [
         (target.wide, _WIDE_RADIUS, _ROUGH_ROUNDS[0]),
-        (target.grid, _FIT_RADIUS, _ROUGH_ROUNDS[1]),
+        (target.grid, FIT_RADIUS, _ROUGH_ROUNDS[1]),
     ]
     poses = np.concatenate([poses, polished(poses, source, target, stages)])
     return Proposals(poses, _rough_scores(poses, matches, (source, target)))
@@ -140,7 +145,7 @@ def finalists(
     poses = np.concatenate([proposals.poses, given.poses])
     rank = np.concatenate([proposals.rank, given.rank])
     poses = poses[distinct(poses, rank, _probes(source), _SPACING, _FINALISTS)]
-    last = [(target.grid, _FIT_RADIUS, _FINAL_ROUNDS)]
+    last = [(target.grid, FIT_RADIUS, _FINAL_ROUNDS)]
     return np.concatenate([poses, polished(poses, source, target, last)])
 
 
@@ -167,15 +172,16 @@ def verify(
     """
     poses = finalists(proposals, first, matches, views)
     known = opinions or (Opinion.none(views[0]), Opinion.none(views[1]))
-    odds = scores(traces(poses, matches, views, known), masked=opinions is not None)
+    found = traces(poses, matches, views, known)
+    odds = scores(found, masked=opinions is not None)
     order = distinct(poses, odds, _probes(views[0]), _SPACING, 2)
     T = poses[order[0]]
     lead = 1.0 if len(order) < 2 else 1.0 - float(np.exp(odds[order[1]] - odds[order[0]]))
     matched = _matched(T[None], matches)[0]
     return Verified(
         T,
-        float(fits(T[None], *views, _FIT_RADIUS)[0]),
-        float(intrusions(T[None], *views, _MARGIN_VOXELS, _MARGIN_SHARE)[0]),
+        float(found[order[0], TRACES.index('fit')]),
+        float(intrusions(T[None], *views, MARGIN_VOXELS, MARGIN_SHARE)[0]),
         lead,
         float(matched / max(len(matches.weights), 1)),
         int(matched),
@@ -186,7 +192,7 @@ def verify(
 def _matched(T: F64, matches: Candidates) -> F64:
     """Number of matches that agree with each of B transforms, (B,)."""
     ones = np.ones(len(matches.weights))
-    found: F64 = weighted_inliers(T, matches.source, matches.target, ones, _AGREEMENT_RADIUS)
+    found: F64 = weighted_inliers(T, matches.source, matches.target, ones, AGREEMENT_RADIUS)
     return found
 
 
@@ -194,8 +200,8 @@ def _rough_scores(T: F64, matches: Candidates, views: tuple[View, View]) -> F64:
     """What decides between rough poses, (B,): fit and agreement less the intrusion."""
     share = _matched(T, matches) / max(len(matches.weights), 1)
     found: F64 = (
-        fits(T, *views, _FIT_RADIUS)
+        fits(T, *views, FIT_RADIUS)
         + _AGREEMENT_WEIGHT * share
-        - _INTRUSION_WEIGHT * intrusions(T, *views, _MARGIN_VOXELS, _MARGIN_SHARE)
+        - _INTRUSION_WEIGHT * intrusions(T, *views, MARGIN_VOXELS, MARGIN_SHARE)
     )
     return found

@@ -87,7 +87,9 @@ def fit_weights(contests: Sequence[Contest]) -> F64:
     """
     used = [c for c in contests if c.right.any() and not c.right.all()]
     if not used:
-        raise ValueError('no pair has right and wrong poses to choose from')
+        raise ValueError(
+            'no pair has right and wrong poses to choose from: give more pairs, with less overlap'
+        )
     scale = np.concatenate([c.traces for c in used]).std(axis=0) + 1e-9
 
     def loss(w: F64) -> tuple[float, F64]:

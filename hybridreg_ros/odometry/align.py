@@ -80,9 +80,9 @@ def fit_surface(voxel, i, grid, wider, update):  # type: ignore[no-untyped-def]
     x, y, z = grid.store[voxel, i, 0], grid.store[voxel, i, 1], grid.store[voxel, i, 2]
     beam = grid.beam[voxel, i]
     n, nx, ny, nz, offset, variance = fit_around(x, y, z, grid)
-    if n == 0 or abs(nx * beam[0] + ny * beam[1] + nz * beam[2]) < GRAZING:
+    if n == 0 or _edge_on(nx, ny, nz, beam):
         n, nx, ny, nz, offset, variance = fit_around(x, y, z, wider)
-        if abs(nx * beam[0] + ny * beam[1] + nz * beam[2]) < GRAZING:
+        if _edge_on(nx, ny, nz, beam):
             n = 0
     grid.kind[voxel, i] = PLANE if n > 0 else POINT
     grid.surface[voxel, i, 0] = nx
@@ -92,6 +92,12 @@ def fit_surface(voxel, i, grid, wider, update):  # type: ignore[no-untyped-def]
     grid.surface[voxel, i, 4] = variance
     grid.fitted[voxel, i] = update
     grid.support[voxel, i] = min(n, 30000)
+
+
+@_jit
+def _edge_on(nx, ny, nz, beam):  # type: ignore[no-untyped-def]
+    """Whether a surface with this normal was seen too edge-on to be one; true without a normal."""
+    return abs(nx * beam[0] + ny * beam[1] + nz * beam[2]) < GRAZING
 
 
 @_jit

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 MAX_POINTS = 3000
 """Fine points of a cloud that are compared; of more, evenly spread ones are taken."""
 
+MATCH_TEMPERATURE = 0.05
+"""Of the softmaxes over cosine similarities by which pairs are ranked."""
+
 
 def evenly_spread(count: int, most: int) -> Tensor:
     """At most `most` of the numbers 0 to count - 1, evenly spread, ascending (int64)."""

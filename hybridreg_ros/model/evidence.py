@@ -18,6 +18,7 @@ from hybridreg_ros.model.spread import spread_to_level0
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from hybridreg_ros.model.grid import Space
     from hybridreg_ros.model.network import Encoding
     from hybridreg_ros.model.views import View
 
@@ -84,7 +85,7 @@ def _one_way(
     own: Side,
     fixed: tuple[F32, F32],
     other: Side,
-    space: tuple[NDArray[np.int32], F64, float],
+    space: Space,
     r2: float,
 ) -> tuple[float, float]:
     """Trusted fit and mean similarity of the listed points of one cloud on the other."""

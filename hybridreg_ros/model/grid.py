@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     F64 = NDArray[np.float64]
     I32 = NDArray[np.int32]
     I64 = NDArray[np.int64]
-    Space = tuple[I32, F64, float]
+    Space = tuple[I32, tuple[float, float, float], float]
 
 _HALF_EXTENT_VOXELS = 250.0
 _MOST_CELLS = 24_000_000
@@ -49,10 +49,10 @@ def cosine(T: F64, normals: F32, i: int, others: F32, j: int) -> float:
 @compiled
 def cell_point(x: float, y: float, z: float, space: Space) -> int:
     """The point that a grid (`Grid.space`) knows for a place, -1 for none."""
-    grid, low, cell = space
-    p = int(np.floor((x - low[0]) / cell))
-    q = int(np.floor((y - low[1]) / cell))
-    s = int(np.floor((z - low[2]) / cell))
+    grid, low, rate = space
+    p = int(np.floor((x - low[0]) * rate))
+    q = int(np.floor((y - low[1]) * rate))
+    s = int(np.floor((z - low[2]) * rate))
     if not (0 <= p < grid.shape[0] and 0 <= q < grid.shape[1] and 0 <= s < grid.shape[2]):
         return -1
     found: int = grid[p, q, s] - 1
@@ -130,5 +130,6 @@ class Grid:
 
     @property
     def space(self) -> Space:
-        """The grid as compiled functions take it: cells, corner, side of a cell."""
-        return self.nearest, self.low, self.cell
+        """The grid as compiled functions take it: cells, corner, cells per voxel."""
+        x, y, z = self.low.tolist()
+        return self.nearest, (x, y, z), 1.0 / self.cell

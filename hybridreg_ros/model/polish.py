@@ -23,10 +23,14 @@ if TYPE_CHECKING:
     F64 = NDArray[np.float64]
     I32 = NDArray[np.int32]
     Triple = tuple[float, float, float]
+    Sums = tuple[float, ...]
 
 _DAMPING = 1e-3
 _MIN_HITS = 10.0
 _SMALL = 1e-3
+_NOTHING = (0.0,) * 28
+"""Sums over the point-to-plane equations of a step: the upper triangle of the 6x6 matrix row by
+row, the right side, the weights. As a tuple they stay in registers, which an array would not."""
 
 
 @compiled
@@ -63,31 +67,24 @@ def contacts(T: F64, sample: F32, fixed: View, radius: float) -> tuple[I32, F32]
 @compiled
 def _normal_equations(
     T: F64, sample: F32, points: F32, normals: F32, space: Space, r2: float
-) -> tuple[F64, F64, float]:
-    """6x6 matrix and right side of one step (rotation about the origin first)."""
-    A = np.zeros((6, 6))
-    b = np.zeros(6)
-    row = np.empty(6)
-    hits = 0.0
+) -> Sums:
+    """Sums of one step (rotation about the origin first)."""
+    sums = _NOTHING
     for i in range(sample.shape[0]):
         x, y, z = moved(T, sample[i, 0], sample[i, 1], sample[i, 2])
         j = cell_point(x, y, z, space)
         if j >= 0:
             gap = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
             normal = normals[j, 0], normals[j, 1], normals[j, 2]
-            hits += _add(A, b, row, (x, y, z), gap, normal, r2)
-    return A, b, hits
+            sums = _added(sums, (x, y, z), gap, normal, r2)
+    return sums
 
 
 @compiled
 def _reverse_equations(
-    T: F64, sample: F32, points: F32, normals: F32, space: Space, r2: float
-) -> tuple[F64, F64, float]:
-    """The same for points of the target (`sample`) and the moving surface (`points`)."""
-    A = np.zeros((6, 6))
-    b = np.zeros(6)
-    row = np.empty(6)
-    hits = 0.0
+    T: F64, sample: F32, points: F32, normals: F32, space: Space, r2: float, sums: Sums
+) -> Sums:
+    """The same for points of the target (`sample`) and the moving surface, added to `sums`."""
     for i in range(sample.shape[0]):
         u, v, w = sample[i, 0] - T[0, 3], sample[i, 1] - T[1, 3], sample[i, 2] - T[2, 3]
         j = cell_point(
@@ -106,28 +103,35 @@ def _reverse_equations(
             T[2, 0] * u + T[2, 1] * v + T[2, 2] * w,
         )
         gap = sample[i, 0] - x, sample[i, 1] - y, sample[i, 2] - z
-        hits += _add(A, b, row, (x, y, z), gap, normal, r2)
-    return A, b, hits
+        sums = _added(sums, (x, y, z), gap, normal, r2)
+    return sums
 
 
 @compiled
-def _add(A: F64, b: F64, row: F64, moved: Triple, gap: Triple, normal: Triple, r2: float) -> float:
-    """Add one point-to-plane equation, weighted down towards the radius; returns the weight."""
-    x, y, z = moved
+def _added(s: Sums, moved: Triple, gap: Triple, normal: Triple, r2: float) -> Sums:
+    """Sums with one point-to-plane equation more, weighted down towards the radius."""
     dx, dy, dz = gap
-    nx, ny, nz = normal
     d2 = dx * dx + dy * dy + dz * dz
     if d2 >= r2:
-        return 0.0
+        return s
+    x, y, z = moved
+    f, g, h = normal
+    c, d, e = y * h - z * g, z * f - x * h, x * g - y * f
     weight = (1.0 - d2 / r2) ** 2
-    row[0], row[1], row[2] = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
-    row[3], row[4], row[5] = nx, ny, nz
-    along = dx * nx + dy * ny + dz * nz
-    for k in range(6):
-        b[k] += weight * along * row[k]
-        for m in range(6):
-            A[k, m] += weight * row[k] * row[m]
-    return weight
+    t, u, v = weight * c, weight * d, weight * e
+    p, q, r = weight * f, weight * g, weight * h
+    along = dx * f + dy * g + dz * h
+    return (
+        s[0] + t * c, s[1] + t * d, s[2] + t * e, s[3] + t * f, s[4] + t * g, s[5] + t * h,
+        s[6] + u * d, s[7] + u * e, s[8] + u * f, s[9] + u * g, s[10] + u * h,
+        s[11] + v * e, s[12] + v * f, s[13] + v * g, s[14] + v * h,
+        s[15] + p * f, s[16] + p * g, s[17] + p * h,
+        s[18] + q * g, s[19] + q * h,
+        s[20] + r * h,
+        s[21] + t * along, s[22] + u * along, s[23] + v * along,
+        s[24] + p * along, s[25] + q * along, s[26] + r * along,
+        s[27] + weight,
+    )  # fmt: skip
 
 
 @compiled
@@ -149,10 +153,16 @@ def _step(T: F64, xi: F64) -> F64:
 
 
 @compiled
-def _solved(T: F64, A: F64, b: F64, hits: float) -> tuple[F64, bool]:
+def _solved(T: F64, sums: Sums) -> tuple[F64, bool]:
     """The pose after a damped Gauss-Newton step, and whether it hardly moved."""
-    for k in range(6):
-        A[k, k] += _DAMPING * A[k, k] + 1e-6 * hits
+    A, b, k = np.empty((6, 6)), np.empty(6), 0
+    for i in range(6):
+        for j in range(i, 6):
+            A[i, j] = A[j, i] = sums[k]
+            k += 1
+        b[i] = sums[21 + i]
+    for i in range(6):
+        A[i, i] += _DAMPING * A[i, i] + 1e-6 * sums[27]
     xi = np.linalg.solve(A, b)
     done = np.abs(xi[:3]).max() < _SMALL * 0.2 and np.abs(xi[3:]).max() < 10.0 * _SMALL
     return _step(T, xi), done
@@ -170,10 +180,10 @@ def _align(
 ) -> F64:
     """Some Gauss-Newton rounds from one pose; `space` is a grid, its corner and its cell."""
     for _ in range(rounds):
-        A, b, hits = _normal_equations(T, sample, points, normals, space, radius * radius)
-        if hits < _MIN_HITS:
+        sums = _normal_equations(T, sample, points, normals, space, radius * radius)
+        if sums[27] < _MIN_HITS:
             break
-        T, done = _solved(T, A, b, hits)
+        T, done = _solved(T, sums)
         if done:
             break
     return T
@@ -195,15 +205,15 @@ def aligned_both_ways(
     for name, radius, rounds in stages:
         there, back = (getattr(view, name).space for view in (target, source))
         for _ in range(rounds):
-            A, b, hits = _normal_equations(
+            sums = _normal_equations(
                 T, source.sample, target.points, target.normals, there, radius * radius
             )
-            C, d, more = _reverse_equations(
-                T, target.sample, source.points, source.normals, back, radius * radius
+            sums = _reverse_equations(
+                T, target.sample, source.points, source.normals, back, radius * radius, sums
             )
-            if hits + more < _MIN_HITS:
+            if sums[27] < _MIN_HITS:
                 break
-            T, done = _solved(T, A + C, b + d, hits + more)
+            T, done = _solved(T, sums)
             if done:
                 break
     return T

@@ -19,9 +19,11 @@ if TYPE_CHECKING:
 
     F64 = NDArray[np.float64]
 
-_POINTS = 2500
-_STAGES = (('wide', 3.0, 6), ('grid', 1.5, 8), ('grid', 0.8, 8))
-"""Grid of the views, radius beyond which points are ignored, voxels, and rounds."""
+_POINTS, _FEW_POINTS = 2500, 1000
+_FIRST_STAGES = (('wide', 3.0, 6), ('grid', 1.5, 8))
+_LAST_STAGES = (('grid', 0.8, 8),)
+"""Grid of the views, radius beyond which points are ignored, voxels, and rounds; on few points
+until the pose is near."""
 _OVERLAP_RADIUS = 1.0
 _MAX_SHIFT_VOXELS = 8.0
 _MAX_TURN_DEG = 15.0
@@ -62,7 +64,9 @@ def refine(source: View, target: View, V_target_source: F64) -> Refinement:
         V_target_source: (4, 4) start, voxels.
     """
     moving, fixed = source.resampled(_POINTS), target.resampled(_POINTS)
-    V = se3.orthonormalise(aligned_both_ways(V_target_source, moving, fixed, _STAGES))
+    few = source.resampled(_FEW_POINTS), target.resampled(_FEW_POINTS)
+    V = aligned_both_ways(V_target_source, *few, _FIRST_STAGES)
+    V = se3.orthonormalise(aligned_both_ways(V, moving, fixed, _LAST_STAGES))
     before, after = _contact(moving, target, V_target_source), _contact(moving, target, V)
     centre = moving.sample.mean(axis=0, dtype=np.float64)
     difference = V - V_target_source

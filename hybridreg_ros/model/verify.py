@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from hybridreg_ros.model.descriptors import likely_pairs
+from hybridreg_ros.model.descriptors import MATCH_TEMPERATURE, likely_pairs
 from hybridreg_ros.model.estimators import weighted_inliers
 from hybridreg_ros.model.hypotheses import Candidates, consistent_hypotheses, distinct
 from hybridreg_ros.model.polish import polished
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     F64 = NDArray[np.float64]
 
 _MATCHES = 300
-_TEMPERATURE = 0.05
 _TOLERANCE = 2.0
 _NEIGHBOURS = 20
 _SEEDS = 60
@@ -97,7 +96,7 @@ def descriptor_matches(source: Encoding, target: Encoding) -> Candidates:
     """The fine points most likely to be the same, whatever their superpoints, voxels."""
     with torch.no_grad():
         index, likelihood = likely_pairs(
-            source.fine_features, target.fine_features, _MATCHES, _TEMPERATURE
+            source.fine_features, target.fine_features, _MATCHES, MATCH_TEMPERATURE
         )
     rows = index.numpy()
     return Candidates(

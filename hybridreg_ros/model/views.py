@@ -16,6 +16,8 @@ from hybridreg_ros.model.ops import compiled
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from hybridreg_ros.model.grid import Space
+
     F32 = NDArray[np.float32]
     F64 = NDArray[np.float64]
     I32 = NDArray[np.int32]
@@ -109,6 +111,10 @@ class View:
     def resampled(self, most: int) -> View:
         """The same view with up to `most` points to test, evenly spread over all."""
         rows = _evenly_spread(len(self.points), most)
+        if len(rows) == len(self.points):
+            return dataclasses.replace(
+                self, rows=rows, sample=self.points, sample_normals=self.normals
+            )
         return dataclasses.replace(
             self, rows=rows, sample=self.points[rows], sample_normals=self.normals[rows]
         )
@@ -125,53 +131,9 @@ class View:
 
 def _evenly_spread(count: int, most: int) -> I64:
     """At most `most` of the numbers 0 to count - 1, ascending."""
-    return np.unique(np.linspace(0, count - 1, most).astype(np.int64))
-
-
-@compiled
-def _fit(
-    T: F64,
-    sample: F32,
-    sample_normals: F32,
-    points: F32,
-    normals: F32,
-    space: tuple[I32, F64, float],
-    r2: float,
-) -> float:
-    """Mean over the sample of how well each point lies on the surface, [0, 1].
-
-    (1 - (distance / radius)^2) cos^2 of the angle between the normals, 0 beyond the radius.
-    """
-    total = 0.0
-    for i in range(sample.shape[0]):
-        x, y, z = moved(T, sample[i, 0], sample[i, 1], sample[i, 2])
-        j = cell_point(x, y, z, space)
-        if j < 0:
-            continue
-        d2 = (points[j, 0] - x) ** 2 + (points[j, 1] - y) ** 2 + (points[j, 2] - z) ** 2
-        if d2 < r2:
-            total += (1.0 - d2 / r2) * cosine(T, sample_normals, i, normals, j) ** 2
-    mean: float = total / max(sample.shape[0], 1)
-    return mean
-
-
-@compiled
-def _intrusion(
-    sample: F32, T: F64, sensor: F64, image: F32, near: F32, margin: float, share: float
-) -> float:
-    """Share of the sample that would stand in space through which the other sensor looked."""
-    count = 0
-    for i in range(sample.shape[0]):
-        x, y, z = moved(T, sample[i, 0], sample[i, 1], sample[i, 2])
-        x, y, z = x - sensor[0], y - sensor[1], z - sensor[2]
-        face, row, column = direction_bin(x, y, z, image.shape[1])
-        if np.isinf(image[face, row, column]):
-            continue
-        reach = near[face, row, column]
-        if np.sqrt(x * x + y * y + z * z) < reach - margin - share * reach:
-            count += 1
-    found: float = count / max(sample.shape[0], 1)
-    return found
+    if count <= most:
+        return np.arange(count)
+    return np.linspace(0, count - 1, most).astype(np.int64)
 
 
 @compiled
@@ -185,20 +147,76 @@ def inverse(T: F64) -> F64:
     return out
 
 
-def fits(T: F64, source: View, target: View, radius: float) -> F64:
-    """How much of both clouds lies on the other under each of B transforms, (B,) in [0, 1]."""
-    out = np.empty(len(T))
-    for b, forward in enumerate(T):
-        out[b] = 0.5 * (
-            _one_way(forward, source, target, radius)
-            + _one_way(inverse(forward), target, source, radius)
-        )
+@compiled
+def _inverses(T: F64) -> F64:
+    """`inverse` of each of B transforms (B, 4, 4)."""
+    out = np.empty_like(T)
+    for b in range(T.shape[0]):
+        out[b] = inverse(T[b])
     return out
 
 
-def _one_way(T: F64, moving: View, fixed: View, radius: float) -> float:
-    """Fit of the moving view's sample on the fixed view's surface."""
-    fit: float = _fit(
+@compiled
+def _fits(
+    poses: F64,
+    sample: F32,
+    sample_normals: F32,
+    points: F32,
+    normals: F32,
+    space: Space,
+    r2: float,
+) -> F64:
+    """Mean over the sample of how well each point lies on the surface, (B,) in [0, 1].
+
+    (1 - (distance / radius)^2) cos^2 of the angle between the normals, 0 beyond the radius.
+    """
+    out = np.zeros(poses.shape[0])
+    for b in range(poses.shape[0]):
+        T = poses[b]
+        for i in range(sample.shape[0]):
+            x, y, z = moved(T, sample[i, 0], sample[i, 1], sample[i, 2])
+            j = cell_point(x, y, z, space)
+            if j < 0:
+                continue
+            d2 = (points[j, 0] - x) ** 2 + (points[j, 1] - y) ** 2 + (points[j, 2] - z) ** 2
+            if d2 < r2:
+                out[b] += (1.0 - d2 / r2) * cosine(T, sample_normals, i, normals, j) ** 2
+    out /= max(sample.shape[0], 1)
+    return out
+
+
+@compiled
+def _intrusions(
+    poses: F64, sample: F32, sensor: F64, image: F32, near: F32, margin: float, share: float
+) -> F64:
+    """Share of the sample that would stand in space the other sensor looked through, (B,)."""
+    out = np.zeros(poses.shape[0])
+    for b in range(poses.shape[0]):
+        T = poses[b]
+        for i in range(sample.shape[0]):
+            x, y, z = moved(T, sample[i, 0], sample[i, 1], sample[i, 2])
+            x, y, z = x - sensor[0], y - sensor[1], z - sensor[2]
+            face, row, column = direction_bin(x, y, z, image.shape[1])
+            if np.isinf(image[face, row, column]):
+                continue
+            reach = near[face, row, column]
+            if np.sqrt(x * x + y * y + z * z) < reach - margin - share * reach:
+                out[b] += 1.0
+    out /= max(sample.shape[0], 1)
+    return out
+
+
+def fits(T: F64, source: View, target: View, radius: float) -> F64:
+    """How much of both clouds lies on the other under each of B transforms, (B,) in [0, 1]."""
+    there = _one_way(T, source, target, radius)
+    back = _one_way(_inverses(T), target, source, radius)
+    mean: F64 = 0.5 * (there + back)
+    return mean
+
+
+def _one_way(T: F64, moving: View, fixed: View, radius: float) -> F64:
+    """Fit (B,) of the moving view's sample on the fixed view's surface."""
+    fit: F64 = _fits(
         T,
         moving.sample,
         moving.sample_normals,
@@ -212,15 +230,9 @@ def _one_way(T: F64, moving: View, fixed: View, radius: float) -> float:
 
 def intrusions(T: F64, source: View, target: View, margin: float, share: float) -> F64:
     """How much of both clouds stands in the other's free space under B transforms, (B,)."""
-    out = np.empty(len(T))
-    for b, forward in enumerate(T):
-        back = inverse(forward)
-        out[b] = 0.5 * (
-            _intrusion(
-                source.sample, forward, target.sensor, target.image, target.near, margin, share
-            )
-            + _intrusion(
-                target.sample, back, source.sensor, source.image, source.near, margin, share
-            )
-        )
-    return out
+    there = _intrusions(T, source.sample, target.sensor, target.image, target.near, margin, share)
+    back = _intrusions(
+        _inverses(T), target.sample, source.sensor, source.image, source.near, margin, share
+    )
+    mean: F64 = 0.5 * (there + back)
+    return mean

@@ -78,6 +78,9 @@ class LossConfig:
     descriptor_weight: float = option(
         0.5, 'weight of the InfoNCE loss of fine points over the whole cloud', low=0.0
     )
+    false_match_weight: float = option(
+        0.0, 'weight of the loss of fine points that are sure of a wrong partner', low=0.0
+    )
     mask: str = option(
         'bce',
         "mask loss: balanced BCE, L1, Laplace NLL per pair, or the paper's log-sum-exp form",

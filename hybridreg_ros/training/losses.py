@@ -134,6 +134,30 @@ def descriptor_loss(
     return F.cross_entropy(logits.masked_fill(near & ~itself, float('-inf')), match)
 
 
+def false_match_loss(source: Tensor, target: Tensor, right: Tensor, temperature: float) -> Tensor:
+    """How sure fine points are of wrong partners: those that have none should be sure of none.
+
+    The likelihood of a pair is that by which matches are ranked (`model.descriptors`): its share
+    of the row's softmax times that of the column's. InfoNCE teaches points that have a partner to
+    find it; nothing there keeps two points that both have none from finding each other, and
+    where clouds overlap little most points are such.
+
+    Args:
+        source: (F, C) unit features of all fine points of the source.
+        target: (G, C) unit features of those of the target.
+        right: (F, G) bool, pairs that are the same place of the static background, or nearly so.
+        temperature: of both softmaxes.
+
+    Returns:
+        Scalar: mean over the points of both clouds of -log(1 - likelihood of all wrong partners).
+    """
+    logits = source @ target.T / temperature
+    likelihood = logits.softmax(dim=1) * logits.softmax(dim=0)
+    wrong = likelihood.masked_fill(right, 0.0)
+    sides = [-torch.log1p(-wrong.sum(dim).clamp_max(1.0 - 1e-4)).mean() for dim in (0, 1)]
+    return 0.5 * (sides[0] + sides[1])
+
+
 def mask_bce(logit: Tensor, trusted: Tensor) -> Tensor:
     """Balanced binary cross-entropy of the mask: both classes weigh the same.
 

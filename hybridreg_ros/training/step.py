@@ -10,10 +10,15 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from hybridreg_ros.model.descriptors import MATCH_TEMPERATURE
+from hybridreg_ros.model.pyramid import voxel_transform
 from hybridreg_ros.model.superpoints import gaussian_correlation, pair_weights
 from hybridreg_ros.training import losses
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from hybridreg_ros.model.config import ModelConfig
     from hybridreg_ros.model.network import Encoding, HybridRegNet, SuperpointOutput
     from hybridreg_ros.training.config import LossConfig
@@ -34,6 +39,7 @@ class LossTerms(NamedTuple):
         fine: point matching.
         descriptor: InfoNCE over the whole cloud.
         mask: uncertainty mask.
+        false_match: fine points that are sure of a wrong partner.
     """
 
     total: Tensor
@@ -41,6 +47,7 @@ class LossTerms(NamedTuple):
     fine: Tensor
     descriptor: Tensor
     mask: Tensor
+    false_match: Tensor
 
 
 def pair_losses(network: HybridRegNet, sample: Sample, config: LossConfig) -> LossTerms:
@@ -61,14 +68,21 @@ def pair_losses(network: HybridRegNet, sample: Sample, config: LossConfig) -> Lo
         descriptor = fine_descriptor_loss(
             source, target, labels, NEAR * config.match_radius_voxels
         )
+    false_match = zero
+    if config.false_match_weight > 0.0:
+        V = voxel_transform(sample.pair.T_target_source, sample.source, sample.target)
+        false_match = whole_cloud_false_match_loss(
+            source, target, V, NEAR * config.match_radius_voxels
+        )
     mask = mask_loss(coarse_out, labels, config) if config.mask != 'none' else zero
     total = (
         coarse
         + config.fine_weight * fine
         + config.descriptor_weight * descriptor
         + config.mask_weight * mask
+        + config.false_match_weight * false_match
     )
-    return LossTerms(total, coarse, fine, descriptor, mask)
+    return LossTerms(total, coarse, fine, descriptor, mask, false_match)
 
 
 def as_tensor(value: object) -> Tensor:
@@ -119,6 +133,24 @@ def fine_descriptor_loss(
         near = torch.cdist(points[match], points) < near_voxels
         terms.append(losses.descriptor_loss(unit[i][sides[i][1]], unit[j], match, near))
     return torch.stack(terms).mean()
+
+
+def whole_cloud_false_match_loss(
+    source: Encoding, target: Encoding, V_target_source: NDArray[np.float64], near_voxels: float
+) -> Tensor:
+    """`losses.false_match_loss` of all fine points of two clouds.
+
+    Args:
+        source: encoding of the source.
+        target: encoding of the target.
+        V_target_source: (4, 4) the true transform of their voxels.
+        near_voxels: pairs within this distance are right; things that moved are wrong.
+    """
+    x, y = source.pyramid.fine_points, target.pyramid.fine_points
+    V = torch.from_numpy(V_target_source).to(x)
+    right = torch.cdist(x @ V[:3, :3].T + V[:3, 3], y) < near_voxels
+    unit = [F.normalize(side.fine_features, dim=1) for side in (source, target)]
+    return losses.false_match_loss(unit[0], unit[1], right, MATCH_TEMPERATURE)
 
 
 def mask_loss(output: SuperpointOutput, labels: PairLabels, config: LossConfig) -> Tensor:

@@ -6,6 +6,7 @@ import math
 
 import pytest
 import torch
+from torch.nn import functional as F
 
 from hybridreg_ros.training import losses
 
@@ -206,3 +207,43 @@ def test_laplace_nll_wants_large_variance_where_it_is_wrong():
     low, high = torch.full((1, 2), -4.0), torch.full((1, 2), 1.0)
     assert losses.laplace_nll(bad, c, high) < losses.laplace_nll(bad, c, low)
     assert losses.laplace_nll(good, c, low) < losses.laplace_nll(good, c, high)
+
+
+def test_false_match_loss_against_loops():
+    generator = torch.Generator().manual_seed(5)
+    x, y = (F.normalize(torch.randn(n, 4, generator=generator).double(), dim=1) for n in (5, 7))
+    right = torch.rand(5, 7, generator=generator) < 0.3
+    e = torch.exp(x @ y.T / 0.2)
+    rows, columns = torch.zeros(5).double(), torch.zeros(7).double()
+    for i in range(5):
+        for j in range(7):
+            if not right[i, j]:
+                p = e[i, j] / e[i].sum() * (e[i, j] / e[:, j].sum())
+                rows[i] += p
+                columns[j] += p
+    wanted = -0.5 * (torch.log(1 - rows).mean() + torch.log(1 - columns).mean())
+    value = losses.false_match_loss(x, y, right, 0.2)
+    assert value.item() == pytest.approx(wanted.item(), rel=1e-6)
+
+
+def test_false_match_loss_parts_points_that_have_no_partner():
+    """InfoNCE never meets two points without partners; here they stop being sure of each other."""
+    generator = torch.Generator().manual_seed(6)
+    features = torch.randn(2, 9, 4, generator=generator)
+    features[1, 0] = features[0, 0]
+    features.requires_grad_()
+    right = torch.zeros(9, 9, dtype=torch.bool)
+
+    def sure():
+        x, y = F.normalize(features, dim=2)
+        logits = x @ y.T / 0.05
+        return float((logits.softmax(1) * logits.softmax(0))[0, 0].detach())
+
+    before = sure()
+    optimizer = torch.optim.Adam([features], lr=0.05)
+    for _ in range(40):
+        optimizer.zero_grad()
+        losses.false_match_loss(*F.normalize(features, dim=2), right, 0.05).backward()
+        optimizer.step()
+    assert before > 0.8
+    assert sure() < 0.3

@@ -1,0 +1,108 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+r"""Rows e to h of the paper's ablation, each trained on from the same weights for the same steps.
+
+    python scripts/ablation.py config/train.yaml --trunk WEIGHTS --steps 10000 \
+        --test data/test/room-match-30-50 data/test/room-lomatch-30-50
+
+Every row sees the same samples in the same order. A run that was killed goes on where it stopped,
+and what has been scored is kept. Prints the table: LGR alone, as in the paper, and `register()`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from hybridreg_ros.cli.main import main as main_of_hybridreg
+from hybridreg_ros.core.config import load_yaml
+from hybridreg_ros.training.config import TrainConfig
+from hybridreg_ros.training.loop import train
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+class Row(NamedTuple):
+    """One row: what is trained, and whether the mask weighs the correlation in use."""
+
+    title: str
+    loss: dict[str, Any]
+    masked: bool
+
+
+ROWS = {
+    'e': Row('no mask', {'mask': 'none'}, False),
+    'f': Row('mask learned with L1', {'mask': 'l1'}, False),
+    'g': Row('mask learned with NLL', {'mask': 'nll', 'mask_stop_gradient': False}, False),
+    'h': Row(
+        'the same, and it weighs the correlation',
+        {'mask': 'nll', 'mask_stop_gradient': False, 'masked_correlation': True},
+        True,
+    ),
+    'ours': Row('mask learned with BCE', {'mask': 'bce', 'masked_correlation': True}, True),
+}
+"""Changes of the `LossConfig`; whatever else the config says is the same in all rows."""
+
+
+def row_config(base: TrainConfig, name: str, trunk: str, steps: int, out: Path) -> TrainConfig:
+    """The training run of a row, from the common trunk, always for as many steps."""
+    loss = dataclasses.replace(base.loss, masked_correlation=False)
+    return dataclasses.replace(
+        base,
+        start_weights=trunk,
+        steps=steps,
+        max_hours=0.0,
+        out=str(out / name),
+        loss=dataclasses.replace(loss, **ROWS[name].loss),
+    )
+
+
+def score(name: str, out: Path, test: Sequence[Path], limit: int) -> list[str]:
+    """RR in percent of LGR and of `register()` on every split; what has been scored is kept."""
+    cells = []
+    for method in ('lgr', 'hybridreg') if ROWS[name].masked else ('lgr-no-mask', 'no-mask'):
+        kept = out / name / method
+        weights = out / name / 'last.safetensors'
+        call = ['evaluate', *test, '--method', method, '--limit', limit, '--weights', weights]
+        call += ['--keep', kept.with_suffix('.jsonl'), '--json', kept.with_suffix('.json')]
+        if main_of_hybridreg([str(part) for part in call]):
+            raise SystemExit(2)
+        rows = json.loads(kept.with_suffix('.json').read_text(encoding='utf-8'))['rows']
+        by_split = {row['split']: row for row in rows}
+        cells += [
+            f'{100.0 * by_split[folder.name]["RR"]:.1f} (n = {by_split[folder.name]["pairs"]})'
+            for folder in test
+        ]
+    return cells
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__.split('\n')[0])
+    parser.add_argument('config', type=Path, help='training configuration common to all rows')
+    parser.add_argument('--trunk', required=True, help='weights that all rows start from')
+    parser.add_argument('--steps', type=int, default=10_000, help='optimiser steps of each row')
+    parser.add_argument('--rows', nargs='+', choices=ROWS, default=list(ROWS))
+    parser.add_argument('--test', nargs='+', type=Path, required=True, help='folders of pairs')
+    parser.add_argument('--limit', type=int, default=200, help='pairs of each')
+    parser.add_argument(
+        '--out', type=Path, default=Path('runs/ablation'), help='folder of the runs'
+    )
+    args = parser.parse_args()
+    base = load_yaml(TrainConfig, args.config)
+    table = []
+    for name in args.rows:
+        train(row_config(base, name, args.trunk, args.steps, args.out))
+        table.append([name, ROWS[name].title, *score(name, args.out, args.test, args.limit)])
+    splits = [folder.name for folder in args.test]
+    header = ['row', '', *(f'LGR, {s}' for s in splits), *(f'register(), {s}' for s in splits)]
+    for line in (header, ['---'] * len(header), *table):
+        print('| ' + ' | '.join(line) + ' |')
+
+
+if __name__ == '__main__':
+    main()

@@ -110,7 +110,7 @@ class ModelConfig:
             ConfigError: no such profile.
         """
         if name == 'compact':
-            return cls(voxel_factor=1.3)
+            return cls(voxel_factor=1.3, top_pairs=48)
         if name == 'paper':
             return cls(
                 max_superpoints=2048,

@@ -128,11 +128,30 @@ def distinct(T: F64, scores: F64, points: F64, spacing: float, count: int) -> I6
         At most `count` rows of T, best first.
     """
     moved = points @ T[:, :3, :3].transpose(0, 2, 1) + T[:, None, :3, 3]
-    kept: list[int] = []
-    for i in np.argsort(-scores, kind='stable'):
-        gaps = np.linalg.norm(moved[kept] - moved[i], axis=2).mean(axis=1)
-        if not (gaps < spacing).any():
-            kept.append(int(i))
-            if len(kept) == count:
+    found: I64 = _apart(moved, np.argsort(-scores, kind='stable'), spacing, count)
+    return found
+
+
+@compiled
+def _apart(moved: F64, order: I64, spacing: float, count: int) -> I64:
+    """The first `count` of `order` whose points (B, K, 3) are not near those of an earlier one."""
+    kept = np.empty(count, np.int64)
+    found = 0
+    for i in order:
+        free = True
+        for k in kept[:found]:
+            total = 0.0
+            for p in range(moved.shape[1]):
+                d2 = 0.0
+                for c in range(3):
+                    d2 += (moved[i, p, c] - moved[k, p, c]) ** 2
+                total += np.sqrt(d2)
+            if total < spacing * moved.shape[1]:
+                free = False
                 break
-    return np.array(kept, dtype=np.int64)
+        if free:
+            kept[found] = i
+            found += 1
+            if found == count:
+                break
+    return kept[:found]

@@ -78,16 +78,22 @@ def _gather(
     config: OdometryConfig,
     tick: Callable[[], Any],
 ) -> list[suite_fit.Evidences]:
-    """What a sequence gives to a fit; kept in the folder `fit` while code and settings stay."""
+    """What a sequence gives to a fit; kept in the folder `fit` while code and settings stay.
+
+    Each stride gives a run with predictions that are off, and half of it one as in use.
+    """
     parts, frames = [], None
     mark = suite_run.fingerprint('ours-no-network', config, None)
     del mark['calibration']  # every pose is gathered, whatever its confidence
-    for stride in strides:
-        path = args.out / 'fit' / f'{sequence.name}__{stride}.json'
+    runs = [(stride, True) for stride in strides]
+    runs += [(max(1, stride // 2), False) for stride in strides]
+    for stride, jolted in runs:
+        name = f'{sequence.name}__{stride}{"" if jolted else "__plain"}.json'
+        path = args.out / 'fit' / name
         kept = json.loads(path.read_text('utf-8')) if path.is_file() else {}
         if kept.get('fingerprint') != mark or kept.get('frames') != sequence.frames:
             frames = frames or suite_data.load(sequence, args.data, args.out / 'cache')
-            part = suite_fit.gather(sequence, frames, stride, config)
+            part = suite_fit.gather(sequence, frames, stride, config, jolted)
             kept = {'fingerprint': mark, 'frames': sequence.frames, **part.to_dict()}
             write_json(path, kept)
         parts.append(suite_fit.Evidences.from_dict(kept))
@@ -102,7 +108,7 @@ def _fit(args: argparse.Namespace, sequences: list[Sequence]) -> int:
     config = odometry_config(args.config, args.registrar)
     strides = tuple(args.strides or STRIDES)
     parts = []
-    with bar(len(sequences) * len(strides), 'fit', 'run') as shown:
+    with bar(2 * len(sequences) * len(strides), 'fit', 'run') as shown:
         for sequence in sequences:
             parts += _gather(args, sequence, strides, config, shown.update)
     found, quality = suite_fit.fit(parts)

@@ -164,6 +164,27 @@ def residuals(points, R, t, kind, anchor, normal, out):  # type: ignore[no-untyp
 
 
 @_jit
+def _add_any(H, w, ax, ay, az):  # type: ignore[no-untyped-def]
+    """Add to the upper half of H (6, 6) what holds a point in all three directions."""
+    # J = [I, -hat(a)]
+    H[0, 0] += w
+    H[1, 1] += w
+    H[2, 2] += w
+    H[0, 4] += w * az
+    H[0, 5] -= w * ay
+    H[1, 3] -= w * az
+    H[1, 5] += w * ax
+    H[2, 3] += w * ay
+    H[2, 4] -= w * ax
+    H[3, 3] += w * (ay * ay + az * az)
+    H[4, 4] += w * (ax * ax + az * az)
+    H[5, 5] += w * (ax * ax + ay * ay)
+    H[3, 4] -= w * ax * ay
+    H[3, 5] -= w * ax * az
+    H[4, 5] -= w * ay * az
+
+
+@_jit
 def normal_equations(points, weights, R, t, kind, anchor, normal, var, scale, point_var):  # type: ignore[no-untyped-def]
     """Gauss-Newton system of the robust cost at (R, t).
 
@@ -177,14 +198,13 @@ def normal_equations(points, weights, R, t, kind, anchor, normal, var, scale, po
         point_var: variance of a point-to-point residual, m^2.
 
     Returns:
-        H (6, 6), b (6,): the step solves H step = -b. And the sums of weight and of weighted
-        squared residual of the plane terms.
+        H (6, 6), b (6,): the step solves H step = -b. And G (6, 6): what H would be of the planes
+        if their normals pointed everywhere evenly, times three.
     """
     H = np.zeros((6, 6))
+    G = np.zeros((6, 6))
     b = np.zeros(6)
     J = np.zeros(6)
-    total = 0.0
-    cost = 0.0
     for row in range(len(points)):
         if kind[row] == NONE or weights[row] <= 0.0:
             continue
@@ -200,10 +220,8 @@ def normal_equations(points, weights, R, t, kind, anchor, normal, var, scale, po
             r = dx * nx + dy * ny + dz * nz
             variance = scale[row] * scale[row] + var[row]
             kernel = 9.0 * variance / (9.0 * variance + r * r)
-            w = weights[row] * kernel * kernel
-            total += w
-            cost += w * r * r
-            w /= variance
+            w = weights[row] * kernel * kernel / variance
+            _add_any(G, w, ax, ay, az)
             J[0], J[1], J[2] = nx, ny, nz
             J[3], J[4], J[5] = ay * nz - az * ny, az * nx - ax * nz, ax * ny - ay * nx
             for i in range(6):
@@ -214,22 +232,7 @@ def normal_equations(points, weights, R, t, kind, anchor, normal, var, scale, po
             d = dx * dx + dy * dy + dz * dz
             kernel = 9.0 * point_var / (9.0 * point_var + d)
             w = weights[row] * kernel * kernel / point_var
-            # J = [I, -hat(a)]
-            H[0, 0] += w
-            H[1, 1] += w
-            H[2, 2] += w
-            H[0, 4] += w * az
-            H[0, 5] -= w * ay
-            H[1, 3] -= w * az
-            H[1, 5] += w * ax
-            H[2, 3] += w * ay
-            H[2, 4] -= w * ax
-            H[3, 3] += w * (ay * ay + az * az)
-            H[4, 4] += w * (ax * ax + az * az)
-            H[5, 5] += w * (ax * ax + ay * ay)
-            H[3, 4] -= w * ax * ay
-            H[3, 5] -= w * ax * az
-            H[4, 5] -= w * ay * az
+            _add_any(H, w, ax, ay, az)
             b[0] += w * dx
             b[1] += w * dy
             b[2] += w * dz
@@ -239,4 +242,5 @@ def normal_equations(points, weights, R, t, kind, anchor, normal, var, scale, po
     for i in range(6):
         for j in range(i):
             H[i, j] = H[j, i]
-    return H, b, total, cost
+            G[i, j] = G[j, i]
+    return H, b, G

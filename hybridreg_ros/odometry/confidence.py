@@ -31,6 +31,8 @@ class Evidence:
         overlap: share of the points with a surface of the map nearby, [0, 1].
         seen: share of the points in directions that an earlier scan saw, [0, 1].
         consistent: share of those that stand on what the earlier scan saw there, [0, 1].
+        before: share of those that stand before it, in space seen free, [0, 1]; the others stand
+            behind it.
         weakness: log10 of the standard deviation, metres, that the information of the registration
             leaves along the direction in which the position is held worst (`weakness`).
     """
@@ -38,6 +40,7 @@ class Evidence:
     overlap: float
     seen: float
     consistent: float
+    before: float = 0.0
     weakness: float = -2.5
 
 

@@ -76,6 +76,10 @@ class PreprocessConfig(Section):
     icp_thinning: float = option(
         1.5, 'edge of the thinning cubes for registration, in voxels', low=0.5, high=8.0
     )
+    icp_enough: int = option(
+        2500, 'where these cubes would leave fewer points, they are made finer, down to those of '
+        'the map', low=0, high=100_000,
+    )  # fmt: skip
     icp_points: int = option(
         5000, 'most points that are registered; more are thinned by taking every k-th',
         low=200, high=100_000,
@@ -114,6 +118,11 @@ class RefineConfig(Section):
     min_scale: float = option(
         0.02, 'floor of the residual scale of the robust kernel, in voxels', low=1e-4, high=1.0
     )
+    loose: float = option(
+        0.02, 'share of what surfaces would hold if they faced every way that is taken for the '
+        'error of their normals; directions that hold no more are left to the motion so far',
+        low=0.0, high=1.0,
+    )  # fmt: skip
     sway: bool = option(
         True, 'find the uneven motion during a scan along with its pose when points carry times'
     )
@@ -122,8 +131,14 @@ class RefineConfig(Section):
         0.2, 'standard deviation of the velocity off the predicted one, m/s', low=1e-3, high=100.0
     )
     sway_turn_deg: float = option(
-        3.0, 'the same of the angular velocity, degrees/s', low=1e-2, high=1000.0
-    )
+        3.0, 'the same of the angular velocity, degrees/s, before it is known how that varies',
+        low=1e-2, high=1000.0,
+    )  # fmt: skip
+    sway_follow: float = option(
+        0.6, 'the same once that is known, as a share of its usual change from scan to scan; 0 = '
+        'always as above',
+        low=0.0, high=10.0,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -148,7 +163,7 @@ class FallbackConfig(Section):
     )
     max_points: int = option(2000, 'most points given to it', low=100, high=100_000)
     sure: float = option(
-        0.98, 'confidence of the first guess from which no other is tried', low=0.0, high=1.0
+        0.95, 'confidence of the first guess from which no other is tried', low=0.0, high=1.0
     )
     good: float = option(0.9, 'the same once a second guess has been tried', low=0.0, high=1.0)
     accept: float = option(
@@ -191,6 +206,14 @@ class GateConfig(Section):
     leave: float = option(
         0.4, 'confidence below which the network branch is left', low=0.0, high=1.0
     )
+    write: float = option(
+        0.9, 'a scan of lower confidence is not written to the map where the map shows it already',
+        low=0.0, high=1.0,
+    )  # fmt: skip
+    known: float = option(
+        0.8, 'share of the points that find the map, from which it shows the scan already',
+        low=0.0, high=1.0,
+    )  # fmt: skip
     max_jump_m: float = option(
         0.0, 'largest disagreement with the predicted position, metres; 0 = by voxel and speed',
         low=0.0, high=1000.0,

@@ -105,8 +105,10 @@ class Dynamics:
             uncertainty: (M,) float32 sigma^2 of the network per map point, or None.
 
         Returns:
-            (N,) float32 in [0, 1]; 0 outside the range limits.
+            (N,) float32 in [0, 1]; 0 outside the range limits, or when it is switched off.
         """
+        if not self._config.enabled:
+            return np.zeros(len(cloud.points), np.float32)
         placed = se3.apply(T_odom_sensor, cloud.means)
         everywhere = np.ones(len(placed), np.bool_)
         table, slots, keys, first, _, cell = occupied(placed, self._size_m, everywhere)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.cloud import Cloud
     from hybridreg_ros.odometry.config import OdometryConfig
     from hybridreg_ros.odometry.localmap import LocalMap
+    from hybridreg_ros.odometry.motion import Expected
     from hybridreg_ros.odometry.preprocess import SensorModel
     from hybridreg_ros.odometry.refine import Basin, Fit
 
@@ -66,6 +67,7 @@ class Fallback:
         guess: F64,
         weights: NDArray[np.floating] | None = None,
         basin: Basin = 'fine',
+        prior: Expected | None = None,
     ) -> Fit:
         """Pose of a cloud near a guess.
 
@@ -74,6 +76,7 @@ class Fallback:
             guess: (4, 4) pose to start from.
             weights: (K,) trust per registered point, or None.
             basin: level on which the refinement starts.
+            prior: what the motion so far says, or None.
 
         Raises:
             RegistrationError: kiss-icp cannot register these points.
@@ -86,17 +89,23 @@ class Fallback:
         pose = self._kiss.align(some, guess)
         if section.polish:
             times = cloud.icp_times
-            return refine(points, pose, self._map, self._config.refine, weights, basin, times)
+            return refine(
+                points, pose, self._map, self._config.refine, weights, basin, times, prior
+            )
         return assess(points, pose, self._map, self._config.refine, weights)
 
     def locate(
-        self, cloud: Cloud, guesses: Sequence[F64], weights: NDArray[np.floating] | None = None
+        self,
+        cloud: Cloud,
+        guesses: Sequence[F64],
+        weights: NDArray[np.floating] | None = None,
+        prior: Expected | None = None,
     ) -> Fit:
         """Pose of a cloud in the map, from the best of the guesses, pulled in; as `follow`."""
         guess = self._ranked(cloud.icp_points, guesses)[0]
         points, settings = cloud.icp_points, self._config.refine
         near = pull_in(points, guess, self._map, settings, weights, 'coarse')
-        return self.follow(cloud, near, weights, 'middle')
+        return self.follow(cloud, near, weights, 'middle', prior)
 
     def learn(self, predicted: F64, pose: F64) -> None:
         """Tell kiss-icp's threshold how good the prediction was."""

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from hybridreg_ros.core.scan import Scan
     from hybridreg_ros.odometry.cloud import Cloud
     from hybridreg_ros.odometry.estimate import Estimate
-    from hybridreg_ros.odometry.locator import Candidate
+    from hybridreg_ros.odometry.located import Candidate
 
 _log = logging.getLogger(__name__)
 

@@ -5,16 +5,17 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hybridreg_ros.core.errors import RegistrationError
-from hybridreg_ros.odometry import covariance
-from hybridreg_ros.odometry.confidence import Evidence, Gate, Verdict, judge, weakness
+from hybridreg_ros.odometry import calibration, covariance
+from hybridreg_ros.odometry.confidence import Evidence, Gate, judge, weakness
 from hybridreg_ros.odometry.fallback import Fallback
+from hybridreg_ros.odometry.located import Candidate, Located, located_by_kiss
 from hybridreg_ros.odometry.refine import Fit, refine
 from hybridreg_ros.odometry.result import Reason, Source
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.keyframes import Keyframes
     from hybridreg_ros.odometry.learned import LearnedBranch, Proposal
     from hybridreg_ros.odometry.localmap import LocalMap
+    from hybridreg_ros.odometry.motion import Expected
     from hybridreg_ros.odometry.preprocess import SensorModel
     from hybridreg_ros.odometry.stopwatch import Watch
     from hybridreg_ros.odometry.visibility import Sightings
@@ -37,38 +39,12 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-
-@dataclass(frozen=True, eq=False)
-class Located:
-    """A pose that passed its checks.
-
-    Attributes:
-        fit: the pose in the map.
-        evidence: what speaks for it.
-        source: the branch that made it.
-        reason: why that branch.
-        confidence: P(pose right), [0, 1].
-        evident: the part of it that the evidence alone gives, [0, 1].
-        uncertainty: (M,) float32 of the network per map point of the cloud, None without one.
-    """
-
-    fit: Fit
-    evidence: Evidence
-    source: Source
-    reason: Reason
-    confidence: float
-    evident: float
-    uncertainty: F32 | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """A pose under judgement; `reported` is it (4, 4) at the instant that is asked for."""
-
-    fit: Fit
-    evidence: Evidence
-    verdict: Verdict
-    reported: F64
+_HEED = np.array([4.0, 2.0])
+"""Factors on the spread of shift and turn that the motion so far had, before a pose is held by it:
+things start and stop."""
+_FAR = 3.0
+"""A pose of the network farther off the expected one, in (widened) standard deviations, is refined
+without it."""
 
 
 class Locator:
@@ -106,15 +82,16 @@ class Locator:
         self._no_network = (
             Reason.REGISTRAR_KISS_ICP if config.registrar == 'kiss-icp' else Reason.NO_WEIGHTS
         )
+        self._rigour = float(np.sqrt(calibration.packaged().covariance_scale[sensor.kind]))
+        self._prior: Expected | None = None
         self.learn = self._fallback.learn
         self.judged: list[Candidate] = []
 
     def locate(
         self,
         cloud: Cloud,
-        predicted: F64,
+        expected: Expected,
         last: F64,
-        dt_s: float,
         trust: F32,
         watch: Watch,
     ) -> Located | Reason:
@@ -122,14 +99,15 @@ class Locator:
 
         Args:
             cloud: the preprocessed scan.
-            predicted: (4, 4) pose by constant velocity.
+            expected: pose by constant velocity.
             last: (4, 4) last pose.
-            dt_s: seconds since then.
             trust: (K,) weight per registered point.
             watch: books the time per stage.
         """
         self.judged = []
-        check = partial(self._judged, cloud, trust, predicted, dt_s)
+        self._prior = expected.widened(*(_HEED / self._rigour))
+        predicted = expected.pose
+        check = partial(self._judged, cloud, trust, expected)
         guesses = [predicted, last]
         if self._learned is None:
             return self._by_fallback(cloud, guesses, trust, check, self._no_network)
@@ -138,7 +116,7 @@ class Locator:
             first = self._followed(cloud, predicted, trust, check)
             watch.lap('refine')
             if first is not None and self._without_doubt(first.verdict.confidence, first.evidence):
-                return _by_kiss(first, Reason.NOT_NEEDED)
+                return located_by_kiss(first, Reason.NOT_NEEDED)
         proposal = self._learned.propose(self._keyframes.to_match(predicted), watch)
         watch.lap('match')
         found = self._by_network(cloud, proposal, trust, check)
@@ -161,10 +139,10 @@ class Locator:
             last: (4, 4) last pose before the loss.
         """
         trust = np.ones(len(cloud.icp_rows), np.float32)
-        self.judged = []
-        check = partial(self._judged, cloud, trust, None, 0.0)
+        self.judged, self._prior = [], None
+        check = partial(self._judged, cloud, trust, None)
         found = self._by_fallback(cloud, [last], trust, check, Reason.RECOVERED)
-        if isinstance(found, Located) and found.confidence >= self._config.fallback.sure:
+        if isinstance(found, Located) and found.confidence >= self._config.fallback.good:
             return found
         if self._learned is not None:
             for keyframe in self._keyframes.nearest(last, self._config.lost.keyframes_tried):
@@ -172,7 +150,9 @@ class Locator:
                 by_network = self._by_network(cloud, proposal, trust, check)
                 if isinstance(by_network, Located):
                     return by_network
-        return Reason.LOW_CONFIDENCE if isinstance(found, Located) else found
+        if isinstance(found, Located) and found.confidence < self._config.gate.enter:
+            return Reason.LOW_CONFIDENCE
+        return found
 
     def _without_doubt(self, confidence: float, evidence: Evidence) -> bool:
         """Whether a pose is taken without a second opinion.
@@ -187,7 +167,7 @@ class Locator:
     ) -> Candidate | None:
         """Fallback from the prediction, or None when it cannot register."""
         try:
-            return check(self._fallback.follow(cloud, predicted, trust))
+            return check(self._fallback.follow(cloud, predicted, trust, prior=self._prior))
         except RegistrationError as error:
             _log.debug('fallback: %s', error)
             return None
@@ -203,6 +183,9 @@ class Locator:
         if proposal is None or not self._gate.passes(proposal.confidence):
             return Reason.LOW_CONFIDENCE
         weights = trust * (1.0 - proposal.uncertainty[cloud.icp_in_map])
+        prior = self._prior
+        if prior is not None and np.abs(prior.off(proposal.T_odom_sensor)).max() > _FAR:
+            prior = None  # an opinion of its own, not to be drawn to the expected pose
         fit = refine(
             cloud.icp_points,
             proposal.T_odom_sensor,
@@ -211,6 +194,7 @@ class Locator:
             weights,
             'middle',
             cloud.icp_times,
+            prior,
         )
         candidate = check(fit)
         if candidate.verdict.fault is not None:
@@ -264,27 +248,26 @@ class Locator:
             return best.verdict.fault
         if best.verdict.confidence < section.accept:
             return Reason.LOW_CONFIDENCE
-        return _by_kiss(best, reason)
+        return located_by_kiss(best, reason)
 
     def _attempts(
         self, cloud: Cloud, guesses: Sequence[F64], trust: F32
     ) -> Iterator[Callable[[], Fit]]:
         """Ways to register without a network, the cheapest first."""
-        fallback = self._fallback
-        yield partial(fallback.follow, cloud, guesses[0], trust)
-        yield partial(fallback.locate, cloud, guesses, trust)
+        fallback, prior = self._fallback, self._prior
+        yield partial(fallback.follow, cloud, guesses[0], trust, prior=prior)
+        yield partial(fallback.locate, cloud, guesses, trust, prior)
         for guess in fallback.search(cloud, guesses[0]):
             yield partial(fallback.locate, cloud, [guess], trust)
 
-    def _judged(
-        self, cloud: Cloud, trust: F32, predicted: F64 | None, dt_s: float, fit: Fit
-    ) -> Candidate:
+    def _judged(self, cloud: Cloud, trust: F32, expected: Expected | None, fit: Fit) -> Candidate:
         """A pose with what speaks for it, judged by the points that do not move."""
         points = cloud.icp_with(fit.sway)[trust > 0.5]
         evidence = replace(
             self._sightings.evidence(points, fit.T_odom_sensor, fit.overlap),
             weakness=weakness(covariance.weakest_m(fit.information)),
         )
+        predicted, dt_s = (None, 0.0) if expected is None else (expected.pose, expected.seconds)
         verdict = judge(
             evidence, fit.T_odom_sensor, predicted, dt_s, self._voxel_m, self._config.gate
         )
@@ -292,9 +275,3 @@ class Locator:
         candidate = Candidate(fit, evidence, verdict, reported)
         self.judged.append(candidate)
         return candidate
-
-
-def _by_kiss(found: Candidate, reason: Reason) -> Located:
-    """A pose that kiss-icp made; its evidence is all that speaks for it."""
-    confidence = found.verdict.confidence
-    return Located(found.fit, found.evidence, Source.KISS_ICP, reason, confidence, confidence)

@@ -4,6 +4,9 @@
 
 from __future__ import annotations
 
+from collections import deque
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,15 +15,66 @@ from hybridreg_ros.core.scan import NS_PER_S
 
 F64 = NDArray[np.float64]
 
+_KEPT, _ENOUGH = 10, 3
+"""Errors of predictions that are kept, and from how many on their spread is believed."""
+_FIRST_SPREAD = np.array([0.5, np.deg2rad(10.0)])
+"""Standard deviation of a prediction about which nothing is known yet, metres and rad per axis."""
+_MEDIAN_NORM = 0.888
+"""Median length of a normal vector in three dimensions over the root of three."""
+_LEAST_SPREAD = np.array([0.01, np.deg2rad(0.1)])
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """Where the motion so far says that a scan is.
+
+    Attributes:
+        pose: (4, 4) pose by constant velocity.
+        shift_m: standard deviation of its position along each axis, metres.
+        turn_rad: standard deviation of its turn about each axis, rad.
+        seconds: time since the last pose.
+        turn_rate: standard deviation about each axis of how the angular velocity has changed from
+            scan to scan of late, rad/s; 0 = not known.
+    """
+
+    pose: F64
+    shift_m: float
+    turn_rad: float
+    seconds: float
+    turn_rate: float = 0.0
+
+    def off(self, pose: F64) -> F64:
+        """How far a pose (4, 4) is from it: (6,) shift and turn in standard deviations."""
+        delta = se3.inverse(self.pose) @ pose
+        turn = se3.so3_log(delta[:3, :3]) / self.turn_rad
+        return np.concatenate([delta[:3, 3] / self.shift_m, turn])
+
+    def pull(self, pose: F64) -> tuple[F64, F64]:
+        """What it adds to the Gauss-Newton system of a pose (4, 4), odom axes.
+
+        Returns:
+            (6,) diagonal of the information (position, turn about the sensor), and (6,) gradient.
+        """
+        weight = np.repeat([self.shift_m**-2, self.turn_rad**-2], 3)
+        turn = se3.so3_log(pose[:3, :3] @ self.pose[:3, :3].T)
+        return weight, weight * np.concatenate([pose[:3, 3] - self.pose[:3, 3], turn])
+
+    def widened(self, shift: float, turn: float) -> Expected:
+        """The same pose with its spread times two factors."""
+        return replace(self, shift_m=shift * self.shift_m, turn_rad=turn * self.turn_rad)
+
 
 class Motion:
     """The pose chain: last pose, its time, and the velocity there.
+
+    The velocity follows from poses that were registered; poses that were only predicted, or that
+    are in doubt, are passed over.
 
     Attributes:
         pose: (4, 4) T_odom_sensor of the last scan.
         stamp: its time, ns.
         twist: (6,) linear (m/s) and angular (rad/s) velocity, sensor frame.
-        last_step_s: seconds between the last two poses.
+        last_step_s: seconds between the poses that gave the velocity, 0 = it is not known.
     """
 
     def __init__(self, pose: F64 | None = None, stamp: int = 0) -> None:
@@ -28,29 +82,56 @@ class Motion:
         self.stamp = stamp
         self.twist = np.zeros(6)
         self.last_step_s = 0.0
+        self._sure = self.pose, stamp
+        self._errors: deque[F64] = deque(maxlen=_KEPT)
 
     def predict(self, stamp: int) -> F64:
         """Pose (4, 4) at a stamp (ns) if the velocity stays as it is."""
         result: F64 = self.pose @ se3.exp(self.twist * self.seconds_to(stamp))
         return result
 
+    def expect(self, stamp: int) -> Expected:
+        """Pose at a stamp (ns), with the spread that predictions have had of late.
+
+        An unknown acceleration moves the pose by the square of the time since the last sure one.
+        """
+        spread, turn_rate = _FIRST_SPREAD, 0.0
+        if len(self._errors) >= _ENOUGH and self.last_step_s > 0.0:
+            spread = np.maximum(np.sqrt(np.mean(np.square(self._errors), axis=0)), _LEAST_SPREAD)
+            usual = float(np.median([turn for _, turn in self._errors])) / _MEDIAN_NORM
+            turn_rate = usual / self.last_step_s
+            steps = (stamp - self._sure[1]) / (NS_PER_S * self.last_step_s)
+            spread = spread * max(1.0, 0.5 * steps * (steps + 1.0))
+        shift_m, turn_rad = float(spread[0]), float(spread[1])
+        return Expected(self.predict(stamp), shift_m, turn_rad, self.seconds_to(stamp), turn_rate)
+
     def seconds_to(self, stamp: int) -> float:
         """Seconds from the last pose to a stamp (ns); integer arithmetic, so nothing is lost."""
         return (stamp - self.stamp) / NS_PER_S
 
     def advance(self, pose: F64, stamp: int) -> None:
-        """Take a registered pose: the velocity follows from it."""
-        dt = self.seconds_to(stamp)
+        """Take a registered pose: the velocity follows from it and the last one of this kind."""
+        since, before = self._sure
+        dt = (stamp - before) / NS_PER_S
         if dt > 0.0:
-            self.twist = se3.log(se3.inverse(self.pose) @ pose) / dt
+            if self.last_step_s > 0.0 and before == self.stamp:
+                off = se3.inverse(self.predict(stamp)) @ pose
+                turn = float(np.linalg.norm(se3.so3_log(off[:3, :3])))
+                error = np.array([float(np.linalg.norm(off[:3, 3])), turn]) / np.sqrt(3.0)
+                self._errors.append(error)
+            self.twist = se3.log(se3.inverse(since) @ pose) / dt
             self.last_step_s = dt
         self.pose, self.stamp = pose, stamp
+        self._sure = pose, stamp
 
     def hold(self, pose: F64, stamp: int) -> None:
-        """Take a pose that says nothing about the velocity, which is kept (coasting)."""
+        """Take a pose that says nothing about the velocity, which is kept (coasting, doubt)."""
         self.pose, self.stamp = pose, stamp
 
-    def stop(self, stamp: int) -> None:
-        """Stand still at the last pose from now on (lost, or a new time base)."""
+    def stop(self, stamp: int, pose: F64 | None = None) -> None:
+        """Stand still from now on, at a pose or at the last one (lost, or a new time base)."""
         self.twist = np.zeros(6)
+        self.last_step_s = 0.0
+        self.pose = self.pose if pose is None else pose
         self.stamp = stamp
+        self._sure = self.pose, stamp

@@ -99,8 +99,7 @@ def preprocess(
     if member is not usable:
         cube = voxel_of(points, size, usable, table, slots)
     means, counts = means_of(points, cube, len(map_rows))
-    some = first_per_voxel(points[map_rows], config.icp_thinning * sensor.voxel_size_m)
-    icp_rows = map_rows[some]
+    icp_rows = map_rows[_for_registration(points[map_rows], sensor.voxel_size_m, config)]
     if len(icp_rows) > config.icp_points:
         icp_rows = icp_rows[:: -(-len(icp_rows) // config.icp_points)]
     times = scan.times - instant_s if deskewed and scan.times is not None else None
@@ -108,6 +107,21 @@ def preprocess(
         points, usable, map_rows, icp_rows, means, counts, cube, deskewed, instant_s, reported_s,
         twist, times,
     )  # fmt: skip
+
+
+def _for_registration(
+    points: NDArray[np.float32], voxel_m: float, config: PreprocessConfig
+) -> NDArray[np.int64]:
+    """Rows of the points (M, 3) that are registered: one per cube, a finer one where few fill it.
+
+    Near a wall a depth camera fills few cubes, and just there little holds its pose.
+    """
+    size = config.icp_thinning * voxel_m
+    rows = first_per_voxel(points, size)
+    if 0 < len(rows) < config.icp_enough:
+        finer = size * np.sqrt(len(rows) / config.icp_enough)  # points lie on surfaces
+        rows = first_per_voxel(points, max(finer, config.map_thinning * voxel_m))
+    return rows
 
 
 def _every_kth(member: NDArray[np.bool_], most: int) -> NDArray[np.bool_]:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from hybridreg_ros.odometry.config import RefineConfig
     from hybridreg_ros.odometry.localmap import LocalMap, VoxelLevel
+    from hybridreg_ros.odometry.motion import Expected
 
 Basin = Literal['coarse', 'middle', 'fine']
 
@@ -57,6 +58,7 @@ def refine(
     weights: NDArray[np.floating] | None = None,
     basin: Basin = 'coarse',
     times: NDArray[np.float64] | None = None,
+    prior: Expected | None = None,
 ) -> Fit:
     """Align points with the map, from a first guess.
 
@@ -69,6 +71,8 @@ def refine(
         basin: level to start on: the coarser, the farther off the guess may be.
         times: (N,) seconds of each point after the instant of the pose; then the motion during
             the scan is found too.
+        prior: pose that the motion so far expects, with a spread to which the information of the
+            points is comparable; it holds what they leave loose. None = nothing is expected.
     """
     start = T_odom_sensor
     if basin != 'fine':
@@ -77,13 +81,13 @@ def refine(
     floor = 4.0 * config.min_scale if basin == 'fine' else 0.4 * config.start_scale
     levels = (local_map.fine, local_map.middle)
     T, converged, surfaces = _iterate(
-        points, trust, start, levels, local_map.updates, config, floor
+        points, trust, start, levels, local_map.updates, config, floor, prior
     )
     if times is None or not config.sway:
         if converged:  # it stands where it was paired last
             return _assessed(points, trust, T, surfaces, local_map, config, converged)
         return assess(points, T, local_map, config, weights, converged)
-    T, found = _with_sway(points, times, trust, T, local_map, config)
+    T, found = _with_sway(points, times, trust, T, local_map, config, prior)
     fit = assess(found.undo(points, times), T, local_map, config, weights, converged)
     return replace(fit, sway=found)
 
@@ -95,6 +99,7 @@ def _with_sway(
     T: NDArray[np.float64],
     local_map: LocalMap,
     config: RefineConfig,
+    prior: Expected | None,
 ) -> tuple[NDArray[np.float64], Sway]:
     """Pose and motion during the scan, from the pose of an even motion."""
     level, found, moved = local_map.fine, NO_SWAY, points
@@ -112,7 +117,7 @@ def _with_sway(
                 surfaces.anchor, surfaces.normal, surfaces.variance, scale,
                 (_POINT_SPREAD * level.size_m) ** 2,
             )  # fmt: skip
-            T, found, length = sway.update(found, T, sums, half_span, config)
+            T, found, length = sway.update(found, T, sums, half_span, config, prior)
             moved = found.undo(points, times)
             step = max(step, length)
         if step < 0.02:
@@ -186,7 +191,8 @@ def _assessed(
     # Point-to-point pairs follow the sampling, not the scene: they say nothing about the error.
     planes = np.where(surfaces.kind == align.PLANE, trust, 0.0)
     scales = surfaces.scales(_by_range(points), config.min_scale * level.size_m, level.size_m)
-    H, _, _, _ = _system(points, planes, T_odom_sensor, surfaces, scales, level)
+    H, b, any_way = _system(points, planes, T_odom_sensor, surfaces, scales, level)
+    H, _ = believed(H, b, any_way, config.loose)
     usable = trust > 0.5
     paired = usable & (surfaces.kind != align.NONE)
     return Fit(
@@ -210,13 +216,42 @@ def _system(
     surfaces: Surfaces,
     scale: NDArray[np.float64],
     level: VoxelLevel,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float]:
-    """Gauss-Newton system of the robust cost at T."""
-    system: tuple[NDArray[np.float64], NDArray[np.float64], float, float] = align.normal_equations(
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Gauss-Newton system of the robust cost at T; as `align.normal_equations` gives it."""
+    system: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+    system = align.normal_equations(
         points, trust, T[:3, :3].copy(), T[:3, 3].copy(), surfaces.kind, surfaces.anchor,
         surfaces.normal, surfaces.variance, scale, (_POINT_SPREAD * level.size_m) ** 2,
     )  # fmt: skip
     return system
+
+
+def believed(
+    H: NDArray[np.float64], b: NDArray[np.float64], any_way: NDArray[np.float64], loose: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The part of a Gauss-Newton system that surfaces really hold.
+
+    Normals are off a little everywhere, and alike over many points (bent depth images, planes
+    fitted to noise): so one bare wall seems to hold the motion along it, by the weight of
+    thousands of points. The gradient of that is taken as an error with covariance
+    loose * (any_way - H), common to all points; where H is much larger, nothing changes.
+
+    Args:
+        H: (6, 6) information; b (6,) gradient.
+        b: (6,).
+        any_way: (6, 6) information if every surface held all directions.
+        loose: share of it that is taken for error.
+
+    Returns:
+        Information (6, 6) and gradient (6,); the solution of the system alone stays the same.
+    """
+    if loose == 0.0:
+        return H, b
+    unit = np.sqrt(np.maximum(np.diag(any_way), 1e-12))
+    scaled = H / np.outer(unit, unit)
+    noise = scaled + loose * (any_way / np.outer(unit, unit) - scaled) + 1e-9 * np.eye(6)
+    part = np.linalg.solve(noise, np.column_stack([scaled, b / unit]))
+    return (scaled @ part[:, :6]) * np.outer(unit, unit), (scaled @ part[:, 6]) * unit
 
 
 def _iterate(
@@ -227,6 +262,7 @@ def _iterate(
     update: int,
     config: RefineConfig,
     floor: float,
+    prior: Expected | None = None,
 ) -> tuple[NDArray[np.float64], bool, Surfaces]:
     """Pair and step until the pose stands still; the pose, whether it does, and the last pairs.
 
@@ -244,7 +280,12 @@ def _iterate(
             surfaces.measure(points, T)
             low = max(floor, config.min_scale) * level.size_m
             scale = surfaces.scales(order, low, level.size_m)
-            H, b, _, _ = _system(points, trust, T, surfaces, scale, level)
+            H, b, any_way = _system(points, trust, T, surfaces, scale, level)
+            if prior is not None:
+                H, b = believed(H, b, any_way, config.loose)
+                weight, pull = prior.pull(T)
+                H[np.arange(6), np.arange(6)] += weight
+                b += pull
             step = sway.solve(H, b)
             T = T.copy()
             T[:3, :3] = se3.so3_exp(step[3:]) @ T[:3, :3]

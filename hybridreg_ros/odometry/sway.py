@@ -18,8 +18,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.odometry.config import RefineConfig
+    from hybridreg_ros.odometry.motion import Expected
 
     F64 = NDArray[np.float64]
+
+_TURNING = (np.deg2rad(0.7), np.deg2rad(10.0))
+"""Limits of the standard deviation of the angular velocity within a scan, rad/s."""
 
 _jit = numba.njit(cache=True, nogil=True)
 
@@ -59,6 +63,7 @@ def update(
     sums: tuple[F64, F64],
     half_span_s: float,
     config: RefineConfig,
+    prior: Expected | None = None,
 ) -> tuple[F64, Sway, float]:
     """One Gauss-Newton step of pose and sway.
 
@@ -68,6 +73,7 @@ def update(
         sums: as `moments` gives them.
         half_span_s: half the duration of the scan, seconds.
         config: how much the velocity may change during a scan.
+        prior: pose that the motion so far expects, or None.
 
     Returns:
         The pose (4, 4), the sway, and the length of the step in units of what the priors allow.
@@ -79,7 +85,14 @@ def update(
         b[6 * i : 6 * i + 6] = turn.T @ sums[1][i]
         for j in range(3):
             H[6 * i : 6 * i + 6, 6 * j : 6 * j + 6] = turn.T @ sums[0][i + j] @ turn
-    spread = np.array([config.sway_speed] * 3 + [np.deg2rad(config.sway_turn_deg)] * 3)
+    if prior is not None:
+        weight, pull = prior.pull(T_odom_sensor)  # alike along all axes, so turning keeps it
+        H[np.arange(6), np.arange(6)] += weight
+        b[:6] += turn.T @ pull
+    turning = np.deg2rad(config.sway_turn_deg)
+    if prior is not None and prior.turn_rate > 0.0 and config.sway_follow > 0.0:
+        turning = np.clip(config.sway_follow * prior.turn_rate, *_TURNING)
+    spread = np.array([config.sway_speed] * 3 + [turning] * 3)
     for order, known in ((1, sway.rate), (2, sway.bend)):
         weight = (half_span_s ** (order - 1) / spread) ** 2
         rows = np.arange(6 * order, 6 * order + 6)

@@ -17,7 +17,8 @@ from hybridreg_ros.odometry.estimate import Estimate, nothing
 from hybridreg_ros.odometry.keyframes import Keyframes
 from hybridreg_ros.odometry.learned import LearnedBranch
 from hybridreg_ros.odometry.localmap import LocalMap
-from hybridreg_ros.odometry.locator import Candidate, Located, Locator
+from hybridreg_ros.odometry.located import Located
+from hybridreg_ros.odometry.locator import Locator
 from hybridreg_ros.odometry.preprocess import certainty
 from hybridreg_ros.odometry.result import Reason, Source
 from hybridreg_ros.odometry.visibility import Sightings
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from hybridreg_ros.odometry.cloud import Cloud
     from hybridreg_ros.odometry.config import OdometryConfig
+    from hybridreg_ros.odometry.located import Candidate
     from hybridreg_ros.odometry.motion import Motion
     from hybridreg_ros.odometry.preprocess import SensorModel
     from hybridreg_ros.odometry.rangeimage import RangeImage
@@ -79,7 +81,7 @@ class Tracker:
             None if registrar is None else LearnedBranch(registrar, config.keyframe.memory)
         )
         self._keyframes = Keyframes(config.keyframe, sensor.voxel_size_m)
-        self._sightings = Sightings(sensor)
+        self._sightings = Sightings(sensor, config.keyframe.memory)
         self._dynamics = Dynamics(config.dynamics, sensor)
         self._locator = Locator(
             config, sensor, self._map, self._learned, self._keyframes, self._sightings
@@ -103,13 +105,12 @@ class Tracker:
             self._learned.begin(cloud.map_points)
         if len(self._map) == 0:
             return self._begin(cloud, stamp, Reason.FIRST_SCAN)
-        predicted = self._motion.predict(stamp)
-        trust = self._dynamics.trust(cloud.icp_points, predicted)
+        expected = self._motion.expect(stamp)
+        trust = self._dynamics.trust(cloud.icp_points, predicted := expected.pose)
         if self.lost:
             found = self._locator.relocate(cloud, self._motion.pose)
         else:
-            dt = self._motion.seconds_to(stamp)
-            found = self._locator.locate(cloud, predicted, self._motion.pose, dt, trust, watch)
+            found = self._locator.locate(cloud, expected, self._motion.pose, trust, watch)
         if isinstance(found, Located) and self._opens(cloud, stamp):
             cloud, predicted, found = self._opened(cloud, stamp, found, watch)
         self._opening = None
@@ -152,7 +153,8 @@ class Tracker:
             cloud = still.moved_by(twist)
             self._restart(first.moved_by(twist), begun, since)
             ones = np.ones(len(cloud.icp_rows), np.float32)
-            again = self._locator.locate(cloud, predicted, begun, dt, ones, watch)
+            expected = replace(self._motion.expect(stamp), pose=predicted)
+            again = self._locator.locate(cloud, expected, begun, ones, watch)
             if isinstance(again, Reason):  # the velocity was wrong, so as it was before
                 self._restart(first, start, since)
                 return still, start, found
@@ -161,9 +163,8 @@ class Tracker:
 
     def _restart(self, cloud: Cloud, pose: F64, stamp: int) -> None:
         """Let the map, the past and the newest keyframe be those of one cloud."""
-        self._map.clear()
-        self._dynamics.clear()
-        self._motion.hold(pose, stamp)
+        self._forget_scene()
+        self._motion.stop(stamp, pose)
         keyframe = self._keyframes.mend(pose, cloud.map_points)
         if self._learned is not None:
             self._learned.forget(keyframe)
@@ -178,11 +179,11 @@ class Tracker:
         if sway is not None:
             cloud, reported = cloud.straightened(sway), cloud.reported(pose, sway)
         if was_lost:
-            self._motion.stop(stamp)
-            self._motion.hold(pose, stamp)
+            self._motion.stop(stamp, pose)
         else:
             self._locator.learn(predicted, pose)
-            self._motion.advance(pose, stamp)
+            sure = found.confidence >= self._config.gate.enter
+            (self._motion.advance if sure else self._motion.hold)(pose, stamp)
         self.lost, self._bad_frames, self._lost_scans = False, 0, 0
         self.source = found.source
         section = self._config.covariance
@@ -191,12 +192,13 @@ class Tracker:
             factor *= section.fallback_factor
         self.covariance = covariance.of_pose(found.fit.information, factor)
         image = self._sightings.draw(cloud, pose)
-        dynamic = self._find_dynamic(cloud, pose, found.uncertainty)
+        dynamic = self._dynamics.update(cloud, pose, self._map, found.uncertainty)
         watch.lap('dynamics')
         is_keyframe = self._keyframes.wanted(pose, stamp, found.evidence.seen)
         if is_keyframe:
             self._add_keyframe(cloud, pose, stamp)
-        self._write(cloud, pose, stamp, image, dynamic, is_keyframe)
+        write = found.adds_to_map(self._config.gate)
+        self._write(cloud, pose, stamp, image, dynamic, is_keyframe, write)
         watch.lap('map')
         reason = Reason.RECOVERED if was_lost else found.reason
         estimate = self._estimate(pose, reason, found.confidence, dynamic, is_keyframe)
@@ -245,17 +247,13 @@ class Tracker:
         if self._lost_scans <= self._config.lost.reanchor_after:
             return False
         _log.warning('lost for %d scans: starting a new map at the last pose', self._lost_scans)
-        self._map.clear()
+        self._forget_scene()
         self._keyframes.clear()
-        self._dynamics.clear()
         return True
 
-    def _find_dynamic(
-        self, cloud: Cloud, pose: F64, uncertainty: NDArray[np.float32] | None
-    ) -> NDArray[np.float32]:
-        if not self._config.dynamics.enabled:
-            return nothing(cloud)
-        return self._dynamics.update(cloud, pose, self._map, uncertainty)
+    def _forget_scene(self) -> None:
+        for part in (self._map, self._dynamics, self._sightings):
+            part.clear()
 
     def _write(
         self,
@@ -265,23 +263,25 @@ class Tracker:
         image: RangeImage,
         dynamic: NDArray[np.float32],
         is_keyframe: bool,
+        write: bool = True,
     ) -> None:
         """Add the static points to the map; take out those that turned out to have moved."""
-        static = dynamic[cloud.map_rows] < _STATIC_BELOW
+        still = dynamic < _STATIC_BELOW
         if self._config.dynamics.enabled:
             gone = self._dynamics.vanished(image)
             if len(gone):
                 self._map.erase(gone)
-            rows = cloud.icp_rows[dynamic[cloud.icp_rows] < _STATIC_BELOW]
+            rows = cloud.icp_rows[still[cloud.icp_rows]]
             self._dynamics.remember(image, se3.apply(pose, cloud.points[rows]), stamp)
-        points = cloud.means[static].astype(np.float64)
-        weights = certainty(points, self.sensor)
-        self._map.update(se3.apply(pose, points), pose[:3, 3], weights)
-        self._sightings.keep(image, is_keyframe)
+        if write:
+            points = cloud.means[still[cloud.map_rows]].astype(np.float64)
+            weights = certainty(points, self.sensor)
+            self._map.update(se3.apply(pose, points), pose[:3, 3], weights)
+        drawn = image if still.all() else self._sightings.draw(cloud, pose, still)
+        self._sightings.keep(drawn, is_keyframe)
 
     def _write_first(self, cloud: Cloud, pose: F64, stamp: int) -> None:
-        image = self._sightings.draw(cloud, pose)
-        self._write(cloud, pose, stamp, image, nothing(cloud), is_keyframe=True)
+        self._write(cloud, pose, stamp, self._sightings.draw(cloud, pose), nothing(cloud), True)
 
     def _estimate(
         self, pose: F64, reason: Reason, confidence: float, dynamic: NDArray[np.float32],

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence as Many
 
     from hybridreg_ros.odometry.config import OdometryConfig
-    from hybridreg_ros.odometry.locator import Candidate
+    from hybridreg_ros.odometry.located import Candidate
     from hybridreg_ros.replay.suite_data import SuiteFrame
     from hybridreg_ros.replay.suite_list import Sequence
 
@@ -101,12 +101,17 @@ class Evidences:
 
 
 def gather(
-    sequence: Sequence, frames: Many[SuiteFrame], stride: int, base: OdometryConfig
+    sequence: Sequence,
+    frames: Many[SuiteFrame],
+    stride: int,
+    base: OdometryConfig,
+    jolted: bool = True,
 ) -> Evidences:
-    """Run without a network, every way of the fallback tried, and judge each pose by the truth.
+    """Run without a network and judge each pose that was considered by the truth.
 
-    The predictions are off on purpose, else there would be hardly a wrong pose to learn from: the
-    confidence is calibrated for hard frames, and is too low rather than too high on easy ones.
+    When jolted, every way of the fallback is tried and the predictions are off on purpose, else
+    there would be hardly a wrong pose to learn from. The other runs are as in use, so that the
+    share of wrong poses among those that look alike is the usual one.
 
     A network is left out: its poses are refined in the same map and judged by the same evidence.
 
@@ -115,15 +120,16 @@ def gather(
         frames: all of them.
         stride: take every n-th.
         base: settings.
+        jolted: whether predictions are off.
     """
     config = replace(
         base,
         registrar='kiss-icp',
-        fallback=replace(base.fallback, sure=1.0, good=1.0),
+        fallback=replace(base.fallback, sure=1.0, good=1.0) if jolted else base.fallback,
         covariance=replace(base.covariance, scale=1.0, fallback_factor=1.0),
     )
-    motion = partial(Jolted, *_JOLTS[sequence.kind], seed=sequence.seed + stride)
-    odometry = HybridOdometry(config, model=None, motion=motion)
+    off = partial(Jolted, *_JOLTS[sequence.kind], seed=sequence.seed + stride)
+    odometry = HybridOdometry(config, model=None, motion=off if jolted else Motion)
     limits = sequence.limits
     anchor: tuple[F64, F64] | None = None
     last: tuple[F64, F64, F64] | None = None

@@ -78,9 +78,11 @@ def _streets() -> tuple[Sequence, ...]:
 def _development() -> tuple[Sequence, ...]:
     rooms = ((501, 'none'), (502, '30-50'), (505, '10-30'), (507, '30-50'))
     streets = ((504, '10-30'), (506, 'none'))
+    long_rooms = ((902, '30-50'), (911, '30-50'), (923, '30-50'))
     few_rings = ((823, '30-50'), (827, '30-50'), (840, 'none'))
     return (
         *(_simulated(f'dev-room-{seed}', 'dev', 80, share, seed) for seed, share in rooms),
+        *(_simulated(f'dev-room-{seed}', 'dev', 200, share, seed) for seed, share in long_rooms),
         *(_simulated(f'dev-street-{seed}', 'dev', 40, share, seed) for seed, share in streets),
         *(_simulated(f'dev-street-{seed}', 'dev', 24, share, seed) for seed, share in few_rings),
     )

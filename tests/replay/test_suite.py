@@ -23,6 +23,7 @@ from hybridreg_ros.core.errors import (
 from hybridreg_ros.core.scan import Scan
 from hybridreg_ros.odometry import calibration
 from hybridreg_ros.odometry.config import OdometryConfig
+from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.replay import suite_data, suite_fit, suite_plots, suite_run, suite_table
 from hybridreg_ros.replay.rivals import GenzIcp, GicpToKeyframe
 from hybridreg_ros.replay.suite_data import SuiteFrame
@@ -31,7 +32,7 @@ from hybridreg_ros.replay.suite_list import METHODS, SEQUENCES, STRIDES, chosen
 if TYPE_CHECKING:
     from pathlib import Path
 
-LOOKED_AT = {1, *range(11, 16), *range(501, 508)}
+LOOKED_AT = {1, *range(11, 16), *range(501, 508), 902, 911, 923}
 """Seeds that were looked at while the front end was tuned."""
 
 
@@ -53,7 +54,7 @@ def test_suites_are_as_large_as_promised_and_on_new_seeds() -> None:
 
 
 WITH = '{"confidence": {"bias": 0, "weights": %s}, "covariance_scale": %s}'
-WEIGHTS = '{"overlap": 1, "consistent": 1, "weakness": 1}'
+WEIGHTS = json.dumps(dict.fromkeys(calibration.FEATURES, 1))
 
 
 def test_unknown_names_are_errors() -> None:
@@ -167,7 +168,7 @@ def test_plots_show_each_suite_that_was_run(tmp_path: Path) -> None:
 
 def evidences(name: str, seed: int) -> suite_fit.Evidences:
     rng = np.random.default_rng(seed)
-    features = rng.uniform(0.0, 1.0, (400, 3))
+    features = rng.uniform(0.0, 1.0, (400, len(calibration.FEATURES)))
     right = rng.uniform(size=400) < 1.0 / (1.0 + np.exp(-(8.0 * features[:, 0] - 4.0)))
     return suite_fit.Evidences(name, features, right, rng.chisquare(6, 300) * 2.0)
 
@@ -206,9 +207,27 @@ def test_bad_calibration_is_an_error(tmp_path: Path, text: str, match: str) -> N
         calibration.read(path)
 
 
+def test_predictions_are_off_only_in_jolted_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+
+    class Noticed(HybridOdometry):
+        def __init__(self, *args: Any, **settings: Any) -> None:
+            super().__init__(*args, **settings)
+            made.append((self._motion, self.config.fallback.sure))
+
+    monkeypatch.setattr(suite_fit, 'HybridOdometry', Noticed)
+    sequence = chosen('dev', ['dev-room-501'])[0]
+    for jolted in (True, False):
+        suite_fit.gather(sequence, [], 2, OdometryConfig(), jolted)
+    (off, always), (plain, usual) = made
+    assert isinstance(off, suite_fit.Jolted)
+    assert not isinstance(plain, suite_fit.Jolted)
+    assert always == 1.0 > usual
+
+
 def test_distinct_leaves_repetitions_out() -> None:
     from hybridreg_ros.odometry.confidence import Evidence, Verdict
-    from hybridreg_ros.odometry.locator import Candidate
+    from hybridreg_ros.odometry.located import Candidate
     from hybridreg_ros.odometry.refine import Fit
 
     def at(x: float) -> Candidate:

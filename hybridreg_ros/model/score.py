@@ -13,7 +13,7 @@ from hybridreg_ros.model.estimators import weighted_inliers
 from hybridreg_ros.model.grid import cell_point, cosine, moved
 from hybridreg_ros.model.ops import compiled
 from hybridreg_ros.model.spread import spread_to_level0
-from hybridreg_ros.model.views import View, direction_bin, inverse
+from hybridreg_ros.model.views import View, depth_behind, inverse
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -72,8 +72,8 @@ class Opinion:
     @classmethod
     def of(cls, view: View, pyramid: Pyramid, sigma2: F32, static: F32) -> Opinion:
         """Spread what the mask says of the superpoints (S,) of a cloud over its view's sample."""
-        trust, still = (spread_to_level0(pyramid, v, view.rows) for v in (1.0 - sigma2, static))
-        return cls(trust, still)
+        both = spread_to_level0(pyramid, np.column_stack([1.0 - sigma2, static]), view.rows)
+        return cls(*np.ascontiguousarray(both.T))
 
     @classmethod
     def none(cls, view: View) -> Opinion:
@@ -129,12 +129,9 @@ def _sight(
     for i in range(sample.shape[0]):
         total += static[i]
         x, y, z = moved(T, sample[i, 0], sample[i, 1], sample[i, 2])
-        x, y, z = x - sensor[0], y - sensor[1], z - sensor[2]
-        face, row, column = direction_bin(x, y, z, image.shape[1])
-        if np.isinf(image[face, row, column]):
+        behind, reach = depth_behind(x, y, z, sensor, image, near)
+        if np.isinf(reach):
             continue
-        reach = near[face, row, column]
-        behind = np.sqrt(x * x + y * y + z * z) - reach
         margin = MARGIN_VOXELS + MARGIN_SHARE * reach
         if behind < -margin:
             intruding += static[i]

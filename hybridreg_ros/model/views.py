@@ -47,6 +47,23 @@ def direction_bin(x: float, y: float, z: float, bins: int) -> tuple[int, int, in
 
 
 @compiled
+def depth_behind(
+    x: float, y: float, z: float, sensor: F64, image: F32, near: F32
+) -> tuple[float, float]:
+    """How far a place lies behind what a sensor (3,) saw in its direction, and how far that was.
+
+    In the unit of the range images (6, B, B) of a `View`; negative = before it, in space that was
+    looked through. The range is inf where nothing was seen.
+    """
+    x, y, z = x - sensor[0], y - sensor[1], z - sensor[2]
+    face, row, column = direction_bin(x, y, z, image.shape[1])
+    if np.isinf(image[face, row, column]):
+        return 0.0, np.inf
+    reach = near[face, row, column]
+    return np.sqrt(x * x + y * y + z * z) - reach, reach
+
+
+@compiled
 def _range_image(points: F32, sensor: F64, bins: int) -> tuple[F32, F32]:
     """Nearest range per direction, and the same with the smallest of its neighbours; inf: none."""
     image = np.full((6, bins, bins), np.inf, np.float32)
@@ -195,12 +212,8 @@ def _intrusions(
         T = poses[b]
         for i in range(sample.shape[0]):
             x, y, z = moved(T, sample[i, 0], sample[i, 1], sample[i, 2])
-            x, y, z = x - sensor[0], y - sensor[1], z - sensor[2]
-            face, row, column = direction_bin(x, y, z, image.shape[1])
-            if np.isinf(image[face, row, column]):
-                continue
-            reach = near[face, row, column]
-            if np.sqrt(x * x + y * y + z * z) < reach - margin - share * reach:
+            behind, reach = depth_behind(x, y, z, sensor, image, near)
+            if not np.isinf(reach) and behind < -margin - share * reach:
                 out[b] += 1.0
     out /= max(sample.shape[0], 1)
     return out

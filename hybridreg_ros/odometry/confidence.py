@@ -71,9 +71,10 @@ def weakness(spread_m: float) -> float:
 def of_evidence(evidence: Evidence) -> float:
     """Confidence of a pose that no network vouches for, [0, 1].
 
-    It grows with the share of points that finds the map and with the share that stands where an
-    earlier scan saw a surface, and falls where the surfaces found leave a direction loose; the
-    weights come from `calibration.json`.
+    It grows with the share of points that stands where an earlier scan saw a surface, and falls
+    with the share that stands in space seen free and where the surfaces found leave a direction
+    loose; the share that finds the map hardly counts beside these. The weights come from
+    `calibration.json`.
     """
     model = calibration.packaged()
     score = model.bias + sum(w * getattr(evidence, name) for name, w in model.weights.items())

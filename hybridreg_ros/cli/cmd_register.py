@@ -31,6 +31,8 @@ def run(args: argparse.Namespace) -> int:
         print(f'{name} points    {len(values)}, mean uncertainty {float(np.mean(sigma2)):.3f}')
     stages = ', '.join(f'{k} {1000 * v:.0f}' for k, v in result.timings_s.items())
     print(f'milliseconds     {stages}')
+    if result.attempts > 1:
+        print(f'attempts         {result.attempts}, in rotated frames, for the first left doubt')
     write_result(
         args,
         {
@@ -41,6 +43,7 @@ def run(args: argparse.Namespace) -> int:
             'correspondences': len(result.correspondences),
             'voxel_size_m': result.voxel_size_m,
             'timings_s': dict(result.timings_s),
+            'attempts': result.attempts,
         },
     )
     return 0

@@ -174,7 +174,20 @@ def kabsch(source: F64, target: F64, weights: F64 | None = None) -> F64:
         return np.eye(4)
     w = w / total
     mu_s, mu_t = w @ source, w @ target
-    H = (source - mu_s).T @ ((target - mu_t) * w[:, None])
+    return from_moments((source - mu_s).T @ ((target - mu_t) * w[:, None]), mu_s, mu_t)
+
+
+def from_moments(H: F64, mu_s: F64, mu_t: F64) -> F64:
+    """Rigid alignment from the moments of matched points (Kabsch 1976, reflection guarded).
+
+    Args:
+        H: (3, 3) weighted sum of (source - mu_s) (target - mu_t)^T, any scale.
+        mu_s: (3,) weighted mean of the source points, metres.
+        mu_t: (3,) that of the target points.
+
+    Returns:
+        T_target_source (4, 4).
+    """
     U, _, Vt = np.linalg.svd(H)
     D = np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T)) or 1.0])
     R = Vt.T @ D @ U.T

@@ -83,6 +83,16 @@ class ModelConfig:
         0, 'best point matches that RANSAC draws from; 0 = all', low=0, high=100_000
     )
 
+    attempts: int = option(
+        5,
+        'most registrations of a pair, each in another frame, while there is doubt',
+        low=1,
+        high=5,
+    )
+    sure: float = option(
+        0.8, 'confidence from which register() makes no further attempt', low=0.0, high=1.0
+    )
+
     def __post_init__(self) -> None:
         """Check ranges and that the widths fit the groups and heads.
 

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
     from hybridreg_ros.model.config import ModelConfig
 
+    Bool = NDArray[np.bool_]
+    F32 = NDArray[np.float32]
     F64 = NDArray[np.float64]
 
 MIN_MATCHES = 3
@@ -79,12 +81,45 @@ def mutual_matches(
     Returns:
         Patch, row and column of each match, ordered by patch.
     """
-    s = np.where(row_mask[:, :, None] & column_mask[:, None, :], scores, -1.0)
-    in_row, in_column = min(top, s.shape[2]) - 1, min(top, s.shape[1]) - 1
-    row_floor = -np.partition(-s, in_row, axis=2)[:, :, [in_row]]
-    column_floor = -np.partition(-s, in_column, axis=1)[:, [in_column], :]
-    patch, row, column = np.nonzero((s >= row_floor) & (s >= column_floor) & (s > minimum))
+    shape = scores.shape[0], top
+    row_floor, column_floor = (np.full((*shape, n), -1.0, np.float32) for n in scores.shape[1:])
+    patch, row, column = np.nonzero(
+        _mutual(scores, row_mask, column_mask, row_floor, column_floor, minimum)
+    )
     return patch, row, column
+
+
+@compiled
+def _mutual(
+    scores: F32, row_mask: Bool, column_mask: Bool, rows: F32, columns: F32, minimum: float
+) -> Bool:
+    """Which entries (P, K, L) match; `rows` (P, top, K) and `columns` (P, top, L) are filled."""
+    found = np.zeros(scores.shape, np.bool_)
+    for p in range(scores.shape[0]):
+        for i in range(scores.shape[1]):
+            for j in range(scores.shape[2]):
+                s = scores[p, i, j]
+                if s > minimum and row_mask[p, i] and column_mask[p, j]:
+                    _insert(rows[p, :, i], s)
+                    _insert(columns[p, :, j], s)
+        for i in range(scores.shape[1]):
+            for j in range(scores.shape[2]):
+                s = scores[p, i, j]
+                if s > minimum and s >= rows[p, -1, i] and s >= columns[p, -1, j]:
+                    found[p, i, j] = row_mask[p, i] and column_mask[p, j]
+    return found
+
+
+@compiled
+def _insert(best: F32, value: float) -> None:
+    """Put a value into its place among the best so far, largest first."""
+    k = best.shape[0] - 1
+    if value <= best[k]:
+        return
+    while k > 0 and best[k - 1] < value:
+        best[k] = best[k - 1]
+        k -= 1
+    best[k] = value
 
 
 def batched_kabsch(source: F64, target: F64, weights: F64) -> F64:
@@ -153,13 +188,43 @@ def patch_hypotheses(matches: PointMatches) -> tuple[F64, NDArray[np.int64]]:
     return batched_kabsch(matches.source[rows], matches.target[rows], weights), patches
 
 
+@compiled
+def _inlier_moments(
+    T: F64, source: F64, target: F64, weights: F64, radius: float
+) -> tuple[int, F64, F64, F64]:
+    """Number of the matches within `radius`, their moments (3, 3) and weighted means (3,)."""
+    count, total, H = 0, 1e-12, np.zeros((3, 3))
+    sum_s, sum_t = np.zeros(3), np.zeros(3)
+    for i in range(source.shape[0]):
+        s, t = source[i], target[i]
+        d2 = 0.0
+        for k in range(3):
+            gap = T[k, 0] * s[0] + T[k, 1] * s[1] + T[k, 2] * s[2] + T[k, 3] - t[k]
+            d2 += gap * gap
+        if d2 > radius * radius:
+            continue
+        count += 1
+        total += weights[i]
+        for k in range(3):
+            sum_s[k] += weights[i] * s[k]
+            sum_t[k] += weights[i] * t[k]
+            for m in range(3):
+                H[k, m] += weights[i] * s[k] * t[m]
+    for k in range(3):
+        for m in range(3):
+            H[k, m] -= sum_s[k] * sum_t[m] / total
+    return count, H, sum_s / total, sum_t / total
+
+
 def refine_pose(T: F64, matches: PointMatches, radius: float, rounds: int) -> F64:
     """Refit a transform (4, 4) to the matches within `radius` of it, `rounds` times."""
     for _ in range(rounds):
-        inlier = _residuals(T[None], matches)[0] <= radius * radius
-        if int(inlier.sum()) < MIN_MATCHES:
+        count, *moments = _inlier_moments(
+            T, matches.source, matches.target, matches.weights, radius
+        )
+        if count < MIN_MATCHES:
             return T
-        T = se3.kabsch(matches.source[inlier], matches.target[inlier], matches.weights[inlier])
+        T = se3.from_moments(*moments)
     return T
 
 

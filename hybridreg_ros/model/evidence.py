@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.model.grid import Space
-    from hybridreg_ros.model.network import Encoding
+    from hybridreg_ros.model.network import Encoding, MatchOutput
+    from hybridreg_ros.model.result import EncodedCloud
     from hybridreg_ros.model.views import View
 
     F32 = NDArray[np.float32]
@@ -60,6 +61,16 @@ class Evidence:
     def side(self) -> Side:
         """The evidence as compiled functions take it."""
         return np.float32(1.0) - self.sigma2, self.owner, self.features
+
+
+def evidence_of(
+    source: EncodedCloud, target: EncodedCloud, found: MatchOutput
+) -> tuple[Evidence, Evidence]:
+    """What the network knows of the points of both clouds."""
+    return (
+        Evidence.of(source.encoding, found.source_sigma2),
+        Evidence.of(target.encoding, found.target_sigma2),
+    )
 
 
 @compiled

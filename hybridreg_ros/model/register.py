@@ -4,8 +4,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,18 +15,19 @@ import torch
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import RegistrationError
+from hybridreg_ros.model.attempts import FRAMES, most_confident, rotated, rotated_back
 from hybridreg_ros.model.checkpoint import load_checkpoint, packaged_weights
 from hybridreg_ros.model.confidence import Calibration, features_of
 from hybridreg_ros.model.estimators import judged
-from hybridreg_ros.model.evidence import Evidence, trusted_fit
+from hybridreg_ros.model.evidence import evidence_of, trusted_fit
 from hybridreg_ros.model.network import HybridRegNet
 from hybridreg_ros.model.posterior import posterior_sigma2
-from hybridreg_ros.model.pyramid import build_pyramid, metric_transform
+from hybridreg_ros.model.pyramid import build_pyramid, metric_transform, voxel_transform
 from hybridreg_ros.model.refine import refine
 from hybridreg_ros.model.result import Correspondences, EncodedCloud, RegistrationResult
-from hybridreg_ros.model.score import Opinion
+from hybridreg_ros.model.score import opinions_of
 from hybridreg_ros.model.spread import values_of_inputs
-from hybridreg_ros.model.verify import descriptor_matches, propose, verify, view_of
+from hybridreg_ros.model.verify import proposals_of, verify, view_of
 from hybridreg_ros.model.voxel_size import choose_voxel_size_m
 
 if TYPE_CHECKING:
@@ -35,11 +38,13 @@ if TYPE_CHECKING:
 
     from hybridreg_ros.model.config import ModelConfig
     from hybridreg_ros.model.estimators import PoseEstimate
-    from hybridreg_ros.model.hypotheses import Candidates
-    from hybridreg_ros.model.network import MatchOutput
+    from hybridreg_ros.model.evidence import Evidence
+    from hybridreg_ros.model.network import Encoding, MatchOutput
+    from hybridreg_ros.model.pyramid import Pyramid
     from hybridreg_ros.model.refine import Refinement
-    from hybridreg_ros.model.verify import Proposals, Verified
+    from hybridreg_ros.model.verify import Verified
 
+    Encoded = tuple[EncodedCloud, EncodedCloud]
     F64 = NDArray[np.float64]
 
 
@@ -98,9 +103,24 @@ class HybridReg:
         if voxel_size_m is None:
             voxel_size_m = self.voxel_size_m = self.voxel_size_m or self._voxel_m(cloud)
         pyramid = build_pyramid(cloud, float(voxel_size_m), self.config)
-        with torch.no_grad():
-            encoding = self.net.encode(pyramid)
-        return EncodedCloud(encoding, view_of(pyramid), len(cloud), time.perf_counter() - start)
+        encoding, view = self._encoding(pyramid), view_of(pyramid)
+        return EncodedCloud(encoding, view, len(cloud), time.perf_counter() - start)
+
+    @torch.no_grad()
+    def _encoding(self, pyramid: Pyramid) -> Encoding:
+        return self.net.encode(pyramid)
+
+    def _encode_both(
+        self, small: NDArray[np.float32], large: NDArray[np.float32], voxel_size_m: float
+    ) -> tuple[EncodedCloud, EncodedCloud]:
+        """Two clouds side by side; the thread of the small one makes the view of the large."""
+        start = time.perf_counter()
+        with ThreadPoolExecutor(1) as beside:
+            pyramid = beside.submit(build_pyramid, large, voxel_size_m, self.config)
+            encoding = beside.submit(lambda: self._encoding(pyramid.result()))
+            first, view = self.encode(small, voxel_size_m), view_of(pyramid.result())
+            known = encoding.result()
+        return first, EncodedCloud(known, view, len(large), time.perf_counter() - start)
 
     def _voxel_m(self, *clouds: NDArray[np.float32]) -> float:
         """Finest voxel for clouds that nobody gave one for, metres."""
@@ -109,7 +129,7 @@ class HybridReg:
     def register(
         self, source: ArrayLike, target: ArrayLike, voxel_size_m: float | None = None
     ) -> RegistrationResult:
-        """Register two clouds.
+        """Register two clouds, again in rotated frames while the result leaves doubt.
 
         Args:
             source: (N, 3) source frame, metres; rows with NaN or inf are allowed.
@@ -120,19 +140,53 @@ class HybridReg:
         Raises:
             RegistrationError: a cloud has too few points or no extent, or is not in metres.
         """
-        start = time.perf_counter()
         clouds = _as_cloud(source), _as_cloud(target)
         voxel = self._voxel_m(*clouds) if voxel_size_m is None else float(voxel_size_m)
-        with ThreadPoolExecutor(1) as beside:
-            second = beside.submit(self.encode, clouds[1], voxel)
-            encoded = self.encode(clouds[0], voxel), second.result()
+        first, encoded = self._attempt(*clouds, voxel)
+        return self.retry(first, encoded, *clouds)
+
+    def retry(
+        self, first: RegistrationResult, encoded: Encoded, source: ArrayLike, target: ArrayLike
+    ) -> RegistrationResult:
+        """Further attempts at a pair, in rotated frames, for as long as there is doubt.
+
+        Whichever attempt found it, the pose is refined on the voxels of the first, so that it
+        does not depend on the attempt beyond what the refinement cannot mend.
+
+        Args:
+            first: result of the first attempt; returned as it is when it is `config.sure`.
+            encoded: source and target as they were matched in it.
+            source: (N, 3) source frame, metres, as for the first attempt.
+            target: (M, 3) target frame, metres.
+        """
+        clouds = _as_cloud(source), _as_cloud(target)
+
+        def attempt(R: F64) -> RegistrationResult:
+            a, b = (rotated(cloud, R) for cloud in clouds)
+            return rotated_back(self._attempt(a, b, first.voxel_size_m)[0], R)
+
+        frames = FRAMES[: self.config.attempts - 1]
+        best = most_confident(first, (partial(attempt, R) for R in frames), self.config.sure)
+        if best.T_target_source is first.T_target_source:
+            return best
+        return dataclasses.replace(best, T_target_source=_refined(best.T_target_source, encoded))
+
+    def _attempt(
+        self, source: NDArray[np.float32], target: NDArray[np.float32], voxel_size_m: float
+    ) -> tuple[RegistrationResult, Encoded]:
+        """One registration, both clouds encoded side by side."""
+        start = time.perf_counter()
+        if len(source) < len(target):
+            encoded = self._encode_both(source, target, voxel_size_m)
+        else:
+            encoded = self._encode_both(target, source, voxel_size_m)[::-1]
         result = self.match(*encoded)
         timings = {
             **result.timings_s,
             'encode': time.perf_counter() - start - result.timings_s['total'],
             'total': time.perf_counter() - start,
         }
-        return _with_timings(result, timings)
+        return dataclasses.replace(result, timings_s=timings), encoded
 
     def match(self, source: EncodedCloud, target: EncodedCloud) -> RegistrationResult:
         """Register two encoded clouds.
@@ -147,7 +201,7 @@ class HybridReg:
             with torch.no_grad():
                 found = self.net.match(source.encoding, target.encoding)
             middle = time.perf_counter()
-            evidence = beside.submit(_evidence, source, target, found)
+            evidence = beside.submit(evidence_of, source, target, found)
             estimate, verified = found.estimate, None
             if proposed is not None:
                 matches, proposals = proposed.result()
@@ -172,7 +226,7 @@ class HybridReg:
             'refine': end - chosen,
             'total': end - start,
         }
-        return _with_timings(result, timings)
+        return dataclasses.replace(result, timings_s=timings)
 
     @property
     def _verifies(self) -> bool:
@@ -211,34 +265,11 @@ class HybridReg:
         )
 
 
-def proposals_of(source: EncodedCloud, target: EncodedCloud) -> tuple[Candidates, Proposals]:
-    """Descriptor matches of two clouds and the poses they suggest."""
-    matches = descriptor_matches(source.encoding, target.encoding)
-    return matches, propose(matches, (source.view, target.view))
-
-
-def opinions_of(
-    source: EncodedCloud, target: EncodedCloud, found: MatchOutput
-) -> tuple[Opinion, Opinion]:
-    """What the mask says of the points of both clouds by which poses are judged."""
-    return (
-        Opinion.of(source.view, source.encoding.pyramid, found.source_sigma2, found.source_static),
-        Opinion.of(target.view, target.encoding.pyramid, found.target_sigma2, found.target_static),
-    )
-
-
-def _evidence(
-    source: EncodedCloud, target: EncodedCloud, found: MatchOutput
-) -> tuple[Evidence, Evidence]:
-    """What the network knows of the points of both clouds."""
-    return (
-        Evidence.of(source.encoding, found.source_sigma2),
-        Evidence.of(target.encoding, found.target_sigma2),
-    )
-
-
-def _with_timings(result: RegistrationResult, timings: Mapping[str, float]) -> RegistrationResult:
-    return RegistrationResult(**{**vars(result), 'timings_s': timings})
+def _refined(T_target_source: F64, encoded: Encoded) -> F64:
+    """A metric pose (4, 4) aligned on the voxels of two encoded clouds."""
+    (a, source), (b, target) = ((c.encoding.pyramid, c.view) for c in encoded)
+    found = refine(source, target, voxel_transform(T_target_source, a, b))
+    return metric_transform(found.V_target_source, a, b)
 
 
 def _as_cloud(points: ArrayLike) -> NDArray[np.float32]:

@@ -76,7 +76,8 @@ class RegistrationResult:
         inliers: number of correspondences that agree with the pose before its refinement.
         voxel_size_m: finest voxel used.
         features: what the confidence was computed from.
-        timings_s: seconds per stage: encode, network, verify, refine, total.
+        timings_s: seconds per stage: encode, network, verify, refine, total; of all attempts.
+        attempts: number of registrations, each in another frame, that this is the best of.
     """
 
     T_target_source: NDArray[np.float64]
@@ -89,6 +90,7 @@ class RegistrationResult:
     voxel_size_m: float
     features: ConfidenceFeatures
     timings_s: Mapping[str, float] = field(default_factory=dict)
+    attempts: int = 1
 
     @property
     def T_keyframe_scan(self) -> NDArray[np.float64]:

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
     from hybridreg_ros.model.grid import Space
     from hybridreg_ros.model.hypotheses import Candidates
+    from hybridreg_ros.model.network import MatchOutput
     from hybridreg_ros.model.pyramid import Pyramid
+    from hybridreg_ros.model.result import EncodedCloud
 
     F32 = NDArray[np.float32]
     F64 = NDArray[np.float64]
@@ -80,6 +82,16 @@ class Opinion:
         """All points count the same: without a mask."""
         ones = np.ones(len(view.sample), np.float32)
         return cls(ones, ones)
+
+
+def opinions_of(
+    source: EncodedCloud, target: EncodedCloud, found: MatchOutput
+) -> tuple[Opinion, Opinion]:
+    """What the mask says of the points of both clouds by which poses are judged."""
+    return (
+        Opinion.of(source.view, source.encoding.pyramid, found.source_sigma2, found.source_static),
+        Opinion.of(target.view, target.encoding.pyramid, found.target_sigma2, found.target_static),
+    )
 
 
 @compiled

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from hybridreg_ros.model.network import Encoding
     from hybridreg_ros.model.pyramid import Pyramid
+    from hybridreg_ros.model.result import EncodedCloud
 
     F64 = NDArray[np.float64]
 
@@ -115,6 +116,12 @@ def propose(matches: Candidates, views: tuple[View, View]) -> Proposals:
     """
     poses = consistent_hypotheses(matches, _TOLERANCE, _SEEDS, _NEIGHBOURS)
     return _ranked(poses, matches, views)
+
+
+def proposals_of(source: EncodedCloud, target: EncodedCloud) -> tuple[Candidates, Proposals]:
+    """Descriptor matches of two clouds and the poses they suggest."""
+    matches = descriptor_matches(source.encoding, target.encoding)
+    return matches, propose(matches, (source.view, target.view))
 
 
 def _ranked(poses: F64, matches: Candidates, views: tuple[View, View]) -> Proposals:

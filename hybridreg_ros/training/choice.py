@@ -13,9 +13,8 @@ from scipy.optimize import minimize
 
 from hybridreg_ros.metrics import registration
 from hybridreg_ros.model.pyramid import metric_transform
-from hybridreg_ros.model.register import opinions_of, proposals_of
-from hybridreg_ros.model.score import TRACES, Opinion, traces
-from hybridreg_ros.model.verify import finalists
+from hybridreg_ros.model.score import TRACES, Opinion, opinions_of, traces
+from hybridreg_ros.model.verify import finalists, proposals_of
 from hybridreg_ros.training.validation import overlap_points, threshold_m
 
 if TYPE_CHECKING:

@@ -39,7 +39,8 @@ def ship(
         about: further provenance, such as a description of the data.
 
     Returns:
-        Scores of the pairs with the fitted confidence (without its fading for few points).
+        Scores of the pairs, one attempt each, with the fitted confidence (without its fading for
+        few points).
 
     Raises:
         WeightsError: the checkpoint cannot be read.
@@ -48,7 +49,8 @@ def ship(
     checkpoint = load_checkpoint(weights)
     network = checkpoint.network
     network.config = dataclasses.replace(network.config, estimator='verified')
-    report = evaluate(HybridReg(network.config, network), pairs)
+    single = dataclasses.replace(network.config, attempts=1)
+    report = evaluate(HybridReg(single, network), pairs)
     calibration = calibrate(report.scores)
     save_network(
         out,

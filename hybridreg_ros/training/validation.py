@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import time
 from dataclasses import dataclass
@@ -80,8 +81,8 @@ class ValidationSet:
         self._held_out: list[HeldOut] | None = None
 
     def score(self, network: HybridRegNet) -> Validation:
-        """Score a network; the pairs are shared out over the processes of the run."""
-        model = HybridReg(network.config, network)
+        """Score a network, one attempt a pair; the processes of the run share the pairs."""
+        model = HybridReg(dataclasses.replace(network.config, attempts=1), network)
         own = [pair_score(model, held, self._config.device) for held in self.held_out()]
         everything: list[list[PairScore]] = [own]
         if self._world > 1:
@@ -150,28 +151,39 @@ def pair_score(model: HybridReg, held: HeldOut, device: str = 'cpu') -> PairScor
     sample = held.sample
     began = time.perf_counter()
     with torch.inference_mode():
-        encoded = [
+        source, target = (
             EncodedCloud(model.net.encode(to_device(pyramid, device)), view, 0, 0.0)
             for pyramid, view in zip((sample.source, sample.target), held.views, strict=True)
-        ]
-    result = model.match(encoded[0], encoded[1])
+        )
+    first = model.match(source, target)
+    result = model.retry(first, (source, target), sample.pair.source, sample.pair.target)
     seconds = time.perf_counter() - began
     with torch.inference_mode():
-        coarse = model.net.correlate(encoded[0].encoding, encoded[1].encoding)
-    return score_of(sample, result, coarse, model.net.config, seconds)
+        coarse = model.net.correlate(source.encoding, target.encoding)
+    return score_of(sample, (first, result), coarse, model.net.config, seconds)
 
 
 def score_of(
     sample: Sample,
-    result: RegistrationResult,
+    results: tuple[RegistrationResult, RegistrationResult],
     coarse: SuperpointOutput,
     config: ModelConfig,
     seconds: float,
 ) -> PairScore:
-    """Score of one registration."""
+    """Score of one registration.
+
+    Args:
+        sample: the pair.
+        results: of the first attempt, by which the network's own pose and matches are judged, and
+            what the user gets.
+        coarse: of the network, first attempt.
+        config: sizes of the network.
+        seconds: time taken, preparation left out.
+    """
     pair, T = sample.pair, sample.pair.T_target_source
     points = overlap_points(pair)
-    matches = result.correspondences
+    first, result = results
+    matches = first.correspondences
     sigma2 = coarse.source_sigma2, coarse.target_sigma2
     chosen = select_pairs(coarse.source_features, coarse.target_features, *sigma2, config)
     return PairScore(
@@ -183,7 +195,7 @@ def score_of(
         rmse_m=registration.rmse_m(T, result.T_target_source, points),
         rre_deg=registration.rotation_error_deg(T, result.T_target_source),
         rte_m=registration.translation_error_m(T, result.T_target_source),
-        coarse_rmse_m=registration.rmse_m(T, result.T_lgr, points),
+        coarse_rmse_m=registration.rmse_m(T, first.T_lgr, points),
         inlier_ratio=registration.inlier_ratio(
             T, matches.source, matches.target, 2.0 * pair.voxel_size_m
         ),

@@ -16,13 +16,19 @@ if TYPE_CHECKING:
 RANSAC_SAMPLES = (250, 500, 1000, 2500, 5000)
 TOP_PAIRS = (32, 48, 64, 96)
 
+_LGR: dict[str, Any] = {'estimator': 'lgr', 'attempts': 1}
+_RANSAC: dict[str, Any] = {'estimator': 'ransac', 'attempts': 1}
+
 VARIANTS: dict[str, dict[str, Any]] = {
     'hybridreg': {},
     'no-mask': {'use_mask': False},
-    'lgr': {'estimator': 'lgr'},
-    'lgr-no-mask': {'estimator': 'lgr', 'use_mask': False},
-    **{f'ransac-{n}': {'estimator': 'ransac', 'ransac_samples': n} for n in RANSAC_SAMPLES},
-    **{f'lgr-top-{n}': {'estimator': 'lgr', 'top_pairs': n} for n in TOP_PAIRS},
+    'one-attempt': {'attempts': 1},
+    'lgr': _LGR,
+    'lgr-no-mask': {**_LGR, 'use_mask': False},
+    **{
+        f'ransac-{n}': {**_LGR, 'estimator': 'ransac', 'ransac_samples': n} for n in RANSAC_SAMPLES
+    },
+    **{f'lgr-top-{n}': {**_LGR, 'top_pairs': n} for n in TOP_PAIRS},
 }
 """What each variant changes in the `ModelConfig` of the weights."""
 

@@ -1,0 +1,90 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Further attempts at a pair that left doubt, each as if both sensors were mounted another way.
+
+The network does not see the same thing in a rotated pair: voxels cut surfaces elsewhere and kernel
+points lie elsewhere on them. What one attempt misses another may find, and a wrong pose seldom
+comes twice (test-time augmentation, for doubtful pairs only).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybridreg_ros.core import se3
+from hybridreg_ros.core.errors import RegistrationError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from numpy.typing import NDArray
+
+    from hybridreg_ros.model.result import RegistrationResult
+
+    F32 = NDArray[np.float32]
+    F64 = NDArray[np.float64]
+
+
+def _rotation(*degrees: float) -> F64:
+    """Rotation (3, 3) by a rotation vector, degrees."""
+    return se3.so3_exp(np.deg2rad(np.array(degrees)))
+
+
+FRAMES = (
+    _rotation(0.0, 0.0, 180.0),
+    _rotation(20.0, 0.0, 0.0),
+    _rotation(0.0, 20.0, 0.0),
+    _rotation(0.0, 0.0, 160.0),
+)
+"""Rotations from the sensor frame to that of the second attempt, the third, and so on."""
+
+
+def rotated(points: F32, R: F64) -> F32:
+    """Points (N, 3) in a rotated frame; R: (3, 3)."""
+    return points @ R.T.astype(np.float32)
+
+
+def rotated_back(result: RegistrationResult, R: F64) -> RegistrationResult:
+    """A result found in rotated frames, in those of the sensors; R: (3, 3) as in `rotated`."""
+    C = se3.transform(R, np.zeros(3))
+    matches = result.correspondences
+    return dataclasses.replace(
+        result,
+        T_target_source=se3.inverse(C) @ result.T_target_source @ C,
+        T_lgr=se3.inverse(C) @ result.T_lgr @ C,
+        correspondences=dataclasses.replace(
+            matches, source=rotated(matches.source, R.T), target=rotated(matches.target, R.T)
+        ),
+    )
+
+
+def most_confident(
+    first: RegistrationResult,
+    attempts: Iterable[Callable[[], RegistrationResult]],
+    sure: float,
+) -> RegistrationResult:
+    """The most confident of several attempts; none is made once there is no doubt.
+
+    Args:
+        first: result of the first attempt.
+        attempts: further ones.
+        sure: confidence from which there is no doubt.
+
+    Returns:
+        A result with the summed `timings_s` and the number of all `attempts`.
+    """
+    best, count, timings = first, first.attempts, dict(first.timings_s)
+    for attempt in attempts:
+        if best.confidence >= sure:
+            break
+        count += 1
+        try:
+            result = attempt()
+        except RegistrationError:  # too few voxels are left when they are cut this way
+            continue
+        timings = {stage: seconds + result.timings_s[stage] for stage, seconds in timings.items()}
+        best = max(best, result, key=lambda r: r.confidence)
+    return dataclasses.replace(best, attempts=count, timings_s=timings)

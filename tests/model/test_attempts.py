@@ -1,0 +1,92 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Further attempts at doubtful pairs: which is taken, when none is made, frames put right."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from hybridreg_ros import HybridReg
+from hybridreg_ros.core import se3
+from hybridreg_ros.core.errors import RegistrationError
+from hybridreg_ros.model.attempts import FRAMES, most_confident, rotated, rotated_back
+from hybridreg_ros.model.confidence import ConfidenceFeatures
+from hybridreg_ros.model.result import Correspondences, RegistrationResult
+
+if TYPE_CHECKING:
+    from hybridreg_ros.model.network import HybridRegNet
+
+T = se3.transform(se3.so3_exp(np.array([0.2, -0.1, 0.4])), np.array([1.0, -2.0, 0.5]))
+
+
+def result(confidence: float, seconds: float = 1.0) -> RegistrationResult:
+    points = np.random.default_rng(0).normal(size=(20, 3)).astype(np.float32)
+    none = np.zeros(0, np.float32)
+    pairs = Correspondences(points, se3.apply(T, points), np.ones(20, np.float32))
+    timings = {'encode': 0.5 * seconds, 'total': seconds}
+    features = ConfidenceFeatures()
+    return RegistrationResult(T, confidence, none, none, pairs, T, 20, 0.05, features, timings)
+
+
+def test_most_confident_attempt_counts_and_sums_time() -> None:
+    later = [lambda: result(0.6, 2.0), lambda: result(0.4, 4.0)]
+    best = most_confident(result(0.5), later, sure=0.8)
+    assert best.confidence == 0.6
+    assert best.attempts == 3
+    assert best.timings_s == {'encode': 3.5, 'total': 7.0}
+
+
+def test_no_attempt_without_doubt() -> None:
+    def never() -> RegistrationResult:
+        raise AssertionError('not needed')
+
+    assert most_confident(result(0.8), [never], sure=0.8).attempts == 1
+    assert most_confident(result(0.1), [lambda: result(0.9), never], sure=0.8).attempts == 2
+
+
+def test_attempt_that_is_refused_is_passed_over() -> None:
+    def refused() -> RegistrationResult:
+        raise RegistrationError('too few voxels')
+
+    best = most_confident(result(0.1), [refused, lambda: result(0.3)], sure=0.8)
+    assert (best.confidence, best.attempts) == (0.3, 3)
+
+
+@pytest.mark.parametrize('R', FRAMES)
+def test_result_in_rotated_frames_is_put_right(R: np.ndarray) -> None:
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+    straight, C = result(0.5), se3.transform(R, np.zeros(3))
+    pairs = straight.correspondences
+    turned = dataclasses.replace(
+        straight,
+        T_target_source=C @ T @ se3.inverse(C),
+        T_lgr=C @ T @ se3.inverse(C),
+        correspondences=Correspondences(
+            rotated(pairs.source, R), rotated(pairs.target, R), pairs.weights
+        ),
+    )
+    back = rotated_back(turned, R)
+    np.testing.assert_allclose(back.T_target_source, T, atol=1e-9)
+    np.testing.assert_allclose(back.T_lgr, T, atol=1e-9)
+    np.testing.assert_allclose(back.correspondences.source, pairs.source, atol=1e-5)
+    np.testing.assert_allclose(back.correspondences.target, pairs.target, atol=1e-5)
+
+
+def test_register_tries_again_while_in_doubt(compact_net: HybridRegNet, room: np.ndarray) -> None:
+    shift = np.array([0.8, -0.4, 0.4], np.float32)
+    found = {}
+    for attempts in (1, 5):
+        config = dataclasses.replace(compact_net.config, attempts=attempts, sure=1.0)
+        found[attempts] = HybridReg(config, compact_net).register(room, room + shift, 0.05)
+    one, five = found[1], found[5]
+    assert (one.attempts, five.attempts) == (1, 5)
+    assert five.confidence >= one.confidence
+    np.testing.assert_allclose(five.T_target_source, se3.transform(np.eye(3), shift), atol=1e-3)
+    pairs = five.correspondences
+    offset = np.linalg.norm(pairs.source + shift - pairs.target, axis=1)
+    assert (offset < 0.15).sum() >= five.inliers > 0
+    assert five.source_uncertainty.shape == (len(room),)

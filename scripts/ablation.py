@@ -5,8 +5,10 @@ r"""Rows e to h of the paper's ablation, each trained on from the same weights f
     python scripts/ablation.py config/train.yaml --trunk WEIGHTS --steps 10000 \
         --test data/test/room-match-30-50 data/test/room-lomatch-30-50
 
-Every row sees the same samples in the same order. A run that was killed goes on where it stopped,
-and what has been scored is kept. Prints the table: LGR alone, as in the paper, and `register()`.
+Every row sees the same samples in the same order and starts with the same mask head, drawn anew,
+for that of the trunk has learned from one row's loss. A run that was killed goes on where it
+stopped, and what has been scored is kept. Prints the table: LGR alone, as in the paper, and
+`register()`.
 """
 
 from __future__ import annotations
@@ -17,8 +19,12 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import torch
+
 from hybridreg_ros.cli.main import main as main_of_hybridreg
 from hybridreg_ros.core.config import load_yaml
+from hybridreg_ros.model.checkpoint import load_checkpoint, save_network
+from hybridreg_ros.model.uncertainty import MaskHead
 from hybridreg_ros.training.config import TrainConfig
 from hybridreg_ros.training.loop import train
 
@@ -46,6 +52,17 @@ ROWS = {
     'ours': Row('mask learned with BCE', {'mask': 'bce', 'masked_correlation': True}, True),
 }
 """Changes of the `LossConfig`; whatever else the config says is the same in all rows."""
+
+
+def without_mask(trunk: str, out: Path) -> str:
+    """Weights file in `out` that is the trunk but for a mask head drawn from seed 0."""
+    checkpoint = load_checkpoint(trunk)
+    torch.manual_seed(0)
+    checkpoint.network.mask = MaskHead(checkpoint.network.config)
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / 'trunk.safetensors'
+    save_network(path, checkpoint.network, {**checkpoint.provenance, 'mask': 'drawn anew'})
+    return str(path)
 
 
 def row_config(base: TrainConfig, name: str, trunk: str, steps: int, out: Path) -> TrainConfig:
@@ -87,9 +104,9 @@ def main() -> None:
     )
     args = parser.parse_args()
     base = load_yaml(TrainConfig, args.config)
-    lines = []
+    lines, trunk = [], without_mask(args.trunk, args.out)
     for name in args.rows:
-        train(row_config(base, name, args.trunk, args.steps, args.out))
+        train(row_config(base, name, trunk, args.steps, args.out))
         scores = score(name, args.out, args.test, args.limit)
         header = [f'{part["split"]} (n = {part["pairs"]})' for part in scores]
         cells = [f'{100.0 * part["RR_coarse"]:.1f} / {100.0 * part["RR"]:.1f}' for part in scores]

@@ -74,7 +74,8 @@ def most_confident(
         sure: confidence from which there is no doubt.
 
     Returns:
-        A result with the summed `timings_s` and the number of all `attempts`.
+        A result with the summed `timings_s` and the number of all `attempts`. A pair that left
+        doubt at first sight stays below certainty: its confidence is at most `sure`.
     """
     best, count, timings = first, first.attempts, dict(first.timings_s)
     for attempt in attempts:
@@ -87,4 +88,7 @@ def most_confident(
             continue
         timings = {stage: seconds + result.timings_s[stage] for stage, seconds in timings.items()}
         best = max(best, result, key=lambda r: r.confidence)
-    return dataclasses.replace(best, attempts=count, timings_s=timings)
+    if count == first.attempts:
+        return first
+    confidence = min(best.confidence, sure)
+    return dataclasses.replace(best, confidence=confidence, attempts=count, timings_s=timings)

@@ -29,6 +29,10 @@ and hold it where it was."""
 def fit_around(x, y, z, grid):  # type: ignore[no-untyped-def]
     """Plane through the stored points within one voxel edge of a place.
 
+    Stored points keep a distance from each other, so where noise has made them lie deep, the few
+    that are far off would count like those in which most measurements came together; by mass they
+    do not.
+
     Returns:
         Number of points (0 when they are not flat), unit normal, offset of the plane from the
         place along the normal, variance across it.
@@ -36,7 +40,7 @@ def fit_around(x, y, z, grid):  # type: ignore[no-untyped-def]
     size = grid.size
     reach_sq = size * size
     centre = voxel_key(x, y, z, 1.0 / size)
-    n = 0
+    n, mass = 0, 0.0
     sx, sy, sz = 0.0, 0.0, 0.0
     sxx, sxy, sxz, syy, syz, szz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     if centre == EMPTY:
@@ -55,19 +59,22 @@ def fit_around(x, y, z, grid):  # type: ignore[no-untyped-def]
                     if dx * dx + dy * dy + dz * dz > reach_sq:
                         continue
                     n += 1
-                    sx, sy, sz = sx + dx, sy + dy, sz + dz
-                    sxx, sxy, sxz = sxx + dx * dx, sxy + dx * dy, sxz + dx * dz
-                    syy, syz, szz = syy + dy * dy, syz + dy * dz, szz + dz * dz
+                    w = float(grid.mass[voxel, i]) if grid.by_mass else 1.0
+                    mass += w
+                    wx, wy, wz = w * dx, w * dy, w * dz
+                    sx, sy, sz = sx + wx, sy + wy, sz + wz
+                    sxx, sxy, sxz = sxx + wx * dx, sxy + wx * dy, sxz + wx * dz
+                    syy, syz, szz = syy + wy * dy, syz + wy * dz, szz + wz * dz
     if n < MIN_PLANE_POINTS:
         return 0, 0.0, 0.0, 0.0, 0.0, 0.0
-    mx, my, mz = sx / n, sy / n, sz / n
+    mx, my, mz = sx / mass, sy / mass, sz / mass
     l0, l1, l2, nx, ny, nz = smallest_axis(
-        sxx / n - mx * mx,
-        sxy / n - mx * my,
-        sxz / n - mx * mz,
-        syy / n - my * my,
-        syz / n - my * mz,
-        szz / n - mz * mz,
+        sxx / mass - mx * mx,
+        sxy / mass - mx * my,
+        sxz / mass - mx * mz,
+        syy / mass - my * my,
+        syz / mass - my * mz,
+        szz / mass - mz * mz,
     )
     if l1 <= 0.0 or l0 > FLATNESS * l1 or l1 < BREADTH * l2:
         return 0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -75,13 +82,15 @@ def fit_around(x, y, z, grid):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def fit_surface(voxel, i, grid, wider, update):  # type: ignore[no-untyped-def]
-    """Fit the surface of one stored point, on its own level or on a wider one."""
+def fit_surface(voxel, i, grid, wider, widest, update):  # type: ignore[no-untyped-def]
+    """Fit the surface of one stored point, on its own level or on the next that shows one."""
     x, y, z = grid.store[voxel, i, 0], grid.store[voxel, i, 1], grid.store[voxel, i, 2]
     beam = grid.beam[voxel, i]
     n, nx, ny, nz, offset, variance = fit_around(x, y, z, grid)
     if n == 0 or _edge_on(nx, ny, nz, beam):
         n, nx, ny, nz, offset, variance = fit_around(x, y, z, wider)
+        if n == 0 and widest.size > wider.size:
+            n, nx, ny, nz, offset, variance = fit_around(x, y, z, widest)
         if _edge_on(nx, ny, nz, beam):
             n = 0
     grid.kind[voxel, i] = PLANE if n > 0 else POINT
@@ -109,7 +118,7 @@ def _lasts(support):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def associate(points, R, t, grid, wider, update, kind, anchor, normal, var):  # type: ignore[no-untyped-def]
+def associate(points, R, t, grid, wider, widest, update, kind, anchor, normal, var):  # type: ignore[no-untyped-def]
     """Surface of the map nearest to each moved point.
 
     The nearest stored point within one voxel edge brings its surface along. It is fitted when
@@ -120,6 +129,7 @@ def associate(points, R, t, grid, wider, update, kind, anchor, normal, var):  # 
         points: (N, 3) float64, sensor frame; R, t move them into the map frame.
         grid: the level.
         wider: the level that gives surfaces where this one is too fine.
+        widest: the level that does where that one is too fine as well; `wider` for none.
         update: number of updates of the map so far, > 0.
         kind: (N,) int8 out, NONE, POINT or PLANE.
         anchor: (N, 3) float64 out, a point of the surface.
@@ -137,7 +147,7 @@ def associate(points, R, t, grid, wider, update, kind, anchor, normal, var):  # 
             continue
         age = update - grid.fitted[voxel, i]
         if grid.fitted[voxel, i] == 0 or age > _lasts(grid.support[voxel, i]):
-            fit_surface(voxel, i, grid, wider, update)
+            fit_surface(voxel, i, grid, wider, widest, update)
         kind[row] = grid.kind[voxel, i]
         offset = grid.surface[voxel, i, 3]
         for axis in range(3):

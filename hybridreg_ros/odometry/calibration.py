@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 PACKAGED = Path(__file__).parent / 'calibration.json'
 KINDS = ('depth', 'lidar')
-FEATURES = ('overlap', 'consistent', 'before', 'weakness')
+FEATURES = ('consistent', 'before', 'weakness')
 """Fields of `confidence.Evidence` that the logistic model reads."""
 
 

@@ -73,8 +73,7 @@ def of_evidence(evidence: Evidence) -> float:
 
     It grows with the share of points that stands where an earlier scan saw a surface, and falls
     with the share that stands in space seen free and where the surfaces found leave a direction
-    loose; the share that finds the map hardly counts beside these. The weights come from
-    `calibration.json`.
+    loose. The weights come from `calibration.json`.
     """
     model = calibration.packaged()
     score = model.bias + sum(w * getattr(evidence, name) for name, w in model.weights.items())

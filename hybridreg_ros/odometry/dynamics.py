@@ -229,7 +229,7 @@ class Dynamics:
         kind, variance = np.zeros(n, np.int8), np.zeros(n)
         anchor, normal = np.zeros((n, 3)), np.zeros((n, 3))
         align.associate(
-            placed, np.eye(3), np.zeros(3), level.grid, level.grid, local_map.updates,
+            placed, np.eye(3), np.zeros(3), level.grid, level.grid, level.grid, local_map.updates,
             kind, anchor, normal, variance,
         )  # fmt: skip
         off = np.abs(np.einsum('ij,ij->i', placed - anchor, normal))

@@ -27,8 +27,9 @@ class VoxelLevel:
         grid: the arrays, as the kernels take them.
     """
 
-    def __init__(self, size_m: float, points_per_voxel: int) -> None:
+    def __init__(self, size_m: float, points_per_voxel: int, by_mass: bool = False) -> None:
         self.size_m = size_m
+        self._by_mass = by_mass
         self._per_voxel = points_per_voxel
         self._spacing_sq = size_m**2 / points_per_voxel
         self.clear()
@@ -53,6 +54,7 @@ class VoxelLevel:
             kind=np.zeros(points, np.int8),
             fitted=np.zeros(points, np.int32),
             support=np.zeros(points, np.int16),
+            by_mass=self._by_mass,
         )
 
     def add(
@@ -111,14 +113,24 @@ class LocalMap:
         reach_m: farther points are forgotten.
         points_per_voxel: most points kept per cube.
         coarse_factor: edge of a coarse cube in fine ones.
+        noisy: whether the noise grows with the range, as that of a depth camera. Then surfaces are
+            fitted to stored points by their mass, and where the middle level is too noisy to show
+            one, the coarse level does. Rings of a lidar pile up mass where they lie by chance.
     """
 
     def __init__(
-        self, voxel_size_m: float, reach_m: float, points_per_voxel: int, coarse_factor: float
+        self,
+        voxel_size_m: float,
+        reach_m: float,
+        points_per_voxel: int,
+        coarse_factor: float,
+        noisy: bool = False,
     ) -> None:
-        self.fine = VoxelLevel(voxel_size_m, points_per_voxel)
-        self.middle = VoxelLevel(voxel_size_m * coarse_factor**0.5, points_per_voxel)
-        self.coarse = VoxelLevel(voxel_size_m * coarse_factor, points_per_voxel)
+        sizes = (voxel_size_m * coarse_factor**power for power in (0.0, 0.5, 1.0))
+        self.fine, self.middle, self.coarse = (
+            VoxelLevel(size, points_per_voxel, noisy) for size in sizes
+        )
+        self._widest = self.coarse if noisy else self.middle
         self._reach_m = reach_m
         self._pruned_at = np.full(3, np.inf)
         self.changes = 0
@@ -128,6 +140,11 @@ class LocalMap:
     def levels(self) -> tuple[VoxelLevel, VoxelLevel, VoxelLevel]:
         """Coarse, middle and fine level."""
         return self.coarse, self.middle, self.fine
+
+    @property
+    def of_surfaces(self) -> tuple[VoxelLevel, VoxelLevel, VoxelLevel]:
+        """Levels that are asked for surfaces, the finest first."""
+        return self.fine, self.middle, self._widest
 
     def __len__(self) -> int:
         """Cubes of the fine level in use."""

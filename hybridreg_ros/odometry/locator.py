@@ -119,6 +119,10 @@ class Locator:
                 return located_by_kiss(first, Reason.NOT_NEEDED)
         proposal = self._learned.propose(self._keyframes.to_match(predicted), watch)
         watch.lap('match')
+        if proposal is not None:  # its mask knows of those who came since the last scan
+            still = trust * (1.0 - proposal.uncertainty[cloud.icp_in_map])
+            check = partial(self._judged, cloud, still, expected)
+            first = None if first is None else check(first.fit)
         found = self._by_network(cloud, proposal, trust, check)
         watch.lap('refine')
         if isinstance(found, Reason):

@@ -79,7 +79,7 @@ def refine(
         start = pull_in(points, T_odom_sensor, local_map, config, weights, basin)
     points, trust = _prepared(points, weights)
     floor = 4.0 * config.min_scale if basin == 'fine' else 0.4 * config.start_scale
-    levels = (local_map.fine, local_map.middle)
+    levels = local_map.of_surfaces
     T, converged, surfaces = _iterate(
         points, trust, start, levels, local_map.updates, config, floor, prior
     )
@@ -107,7 +107,7 @@ def _with_sway(
     half_span = 0.5 * float(times.max() - times.min())
     low = config.min_scale * level.size_m
     for _ in range(config.sway_iterations):
-        surfaces.search(moved, T, (level, local_map.middle), local_map.updates)
+        surfaces.search(moved, T, local_map.of_surfaces, local_map.updates)
         step = 0.0
         for _ in range(2):
             surfaces.measure(moved, T)
@@ -137,7 +137,7 @@ def pull_in(
     some = slice(None, None, max(1, len(points) // config.coarse_points))
     points, trust = _prepared(points[some], None if weights is None else weights[some])
     level = local_map.coarse if basin == 'coarse' else local_map.middle
-    levels = (level, local_map.coarse)
+    levels = (level, local_map.coarse, local_map.coarse)
     return _iterate(
         points, trust, T_odom_sensor, levels, local_map.updates, config, config.start_scale
     )[0]
@@ -171,7 +171,7 @@ def assess(
     """
     points, trust = _prepared(points, weights)
     surfaces = Surfaces(len(points))
-    surfaces.search(points, T_odom_sensor, (local_map.fine, local_map.middle), local_map.updates)
+    surfaces.search(points, T_odom_sensor, local_map.of_surfaces, local_map.updates)
     return _assessed(points, trust, T_odom_sensor, surfaces, local_map, config, converged)
 
 
@@ -258,7 +258,7 @@ def _iterate(
     points: NDArray[np.float64],
     trust: NDArray[np.float64],
     T: NDArray[np.float64],
-    levels: tuple[VoxelLevel, VoxelLevel],
+    levels: tuple[VoxelLevel, VoxelLevel, VoxelLevel],
     update: int,
     config: RefineConfig,
     floor: float,

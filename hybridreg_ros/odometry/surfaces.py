@@ -36,13 +36,13 @@ class Surfaces:
         self,
         points: NDArray[np.float64],
         T: NDArray[np.float64],
-        levels: tuple[VoxelLevel, VoxelLevel],
+        levels: tuple[VoxelLevel, VoxelLevel, VoxelLevel],
         update: int,
     ) -> None:
-        """Pair points with the surfaces of a level, or of the wider one where it has none."""
+        """Pair points with the surfaces of a level, or of the next wider one that has some."""
         align.associate(
-            points, T[:3, :3].copy(), T[:3, 3].copy(), levels[0].grid, levels[1].grid, update,
-            self.kind, self.anchor, self.normal, self.variance,
+            points, T[:3, :3].copy(), T[:3, 3].copy(), levels[0].grid, levels[1].grid,
+            levels[2].grid, update, self.kind, self.anchor, self.normal, self.variance,
         )  # fmt: skip
 
     def measure(self, points: NDArray[np.float64], T: NDArray[np.float64]) -> None:

@@ -72,11 +72,9 @@ class Tracker:
         self._config = config
         self._motion = motion
         self._map = LocalMap(
-            sensor.voxel_size_m,
-            config.map.reach_m or sensor.max_range_m,
-            config.map.points_per_voxel,
-            config.map.coarse_factor,
-        )
+            sensor.voxel_size_m, config.map.reach_m or sensor.max_range_m,
+            config.map.points_per_voxel, config.map.coarse_factor, sensor.kind == 'depth',
+        )  # fmt: skip
         self._learned = (
             None if registrar is None else LearnedBranch(registrar, config.keyframe.memory)
         )

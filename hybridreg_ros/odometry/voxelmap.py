@@ -27,6 +27,7 @@ class Grid(NamedTuple):
         kind: (V, K) int8, POINT or PLANE once fitted.
         fitted: (V, K) int32, update after which the surface was fitted, 0 = not yet.
         support: (V, K) int16, points it was fitted to.
+        by_mass: whether stored points count by their mass in the fit of a surface, or alike.
     """
 
     size: float
@@ -41,6 +42,7 @@ class Grid(NamedTuple):
     kind: NDArray[np.int8]
     fitted: NDArray[np.int32]
     support: NDArray[np.int16]
+    by_mass: bool
 
 
 HALF_SPAN = 1 << 20

@@ -58,7 +58,8 @@ def load(sequence: Sequence, data: Path, cache: Path) -> list[SuiteFrame]:
         DependencyError: a package that reads or simulates it is not installed.
     """
     if sequence.source == 'simulated':
-        return _simulated(sequence, cache)
+        made = _simulated(sequence, cache)
+        return [_narrowed(f, sequence.window) for f in made] if sequence.window else made
     folder = data / sequence.folder
     if not folder.is_dir():
         raise FileFormatError(f'no recording {folder}: give its folder with --data')
@@ -76,6 +77,15 @@ def load(sequence: Sequence, data: Path, cache: Path) -> list[SuiteFrame]:
         SuiteFrame(f.scan, f.T_world_sensor, np.zeros(len(f.scan), np.bool_) if still else None)
         for f, _ in zip(frames, range(sequence.frames), strict=False)
     ]
+
+
+def _narrowed(frame: SuiteFrame, window: float) -> SuiteFrame:
+    """A frame of a depth camera (z ahead) that sees the middle of its view only."""
+    points = frame.scan.points
+    inside = np.abs(points[:, :2]).max(axis=1) < window * points[:, 2]
+    moving = None if frame.moving is None else frame.moving[inside]
+    scan = Scan(points[inside], stamp=frame.scan.stamp, frame_id=frame.scan.frame_id)
+    return SuiteFrame(scan, frame.T_world_sensor, moving)
 
 
 def _decoded(frame: RecordedFrame) -> SuiteFrame:

@@ -33,6 +33,8 @@ class Sequence:
         poses: real: its file of true poses.
         period_s: real: seconds between scans (depth: between frame numbers).
         moving: whether anything moves; None when nobody knows.
+        window: half the width and height of the view that is kept, as a share of its depth (the
+            tangent of the angle); a narrow one often shows a bare wall only. 0 = all.
     """
 
     name: str
@@ -46,6 +48,7 @@ class Sequence:
     poses: str = 'poses.txt'
     period_s: float = 0.1
     moving: bool | None = None
+    window: float = 0.0
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -78,11 +81,16 @@ def _streets() -> tuple[Sequence, ...]:
 def _development() -> tuple[Sequence, ...]:
     rooms = ((501, 'none'), (502, '30-50'), (505, '10-30'), (507, '30-50'))
     streets = ((504, '10-30'), (506, 'none'))
+    narrow = ((502, '30-50', 80), (911, '30-50', 200))
     long_rooms = ((902, '30-50'), (911, '30-50'), (923, '30-50'))
     few_rings = ((823, '30-50'), (827, '30-50'), (840, 'none'))
     return (
         *(_simulated(f'dev-room-{seed}', 'dev', 80, share, seed) for seed, share in rooms),
         *(_simulated(f'dev-room-{seed}', 'dev', 200, share, seed) for seed, share in long_rooms),
+        *(
+            replace(_simulated(f'dev-narrow-{seed}', 'dev', frames, share, seed), window=0.15)
+            for seed, share, frames in narrow
+        ),
         *(_simulated(f'dev-street-{seed}', 'dev', 40, share, seed) for seed, share in streets),
         *(_simulated(f'dev-street-{seed}', 'dev', 24, share, seed) for seed, share in few_rings),
     )

@@ -57,5 +57,5 @@ def test_one_ring_is_no_surface_and_two_rings_of_a_wall_are() -> None:
         local_map = LocalMap(0.2, 100.0, 20, 8.0)
         local_map.update(wall, np.zeros(3))
         found = Surfaces(len(wall))
-        found.search(wall, np.eye(4), (local_map.fine, local_map.middle), local_map.updates)
+        found.search(wall, np.eye(4), local_map.of_surfaces, local_map.updates)
         assert least <= np.mean(found.kind == PLANE) <= most

@@ -175,7 +175,7 @@ def evidences(name: str, seed: int) -> suite_fit.Evidences:
 
 def test_fit_finds_the_weights_and_the_scale(tmp_path: Path) -> None:
     found, quality = suite_fit.fit([evidences('dev-room-a', 1), evidences('dev-street-b', 2)])
-    assert found.weights['overlap'] == pytest.approx(8.0, abs=1.5)
+    assert found.weights['consistent'] == pytest.approx(8.0, abs=1.5)
     assert set(found.covariance_scale) == {'depth', 'lidar'}
     assert min(found.covariance_scale.values()) == pytest.approx(2.0, rel=0.2)
     assert quality['ece_left_out'] < 0.06
@@ -195,7 +195,7 @@ def test_fit_of_one_kind_only_is_an_error() -> None:
     [
         ('{}', 'cannot read the calibration'),
         ('no json', 'cannot read the calibration'),
-        (WITH % ('{"x": 1}', '{}'), 'expected weights of overlap'),
+        (WITH % ('{"x": 1}', '{}'), 'expected weights of consistent'),
         (WITH % (WEIGHTS, '{"depth": 1}'), 'scales of depth, lidar, found depth'),
         (WITH % (WEIGHTS, '{"depth": 1, "lidar": -1}'), 'positive covariance scales'),
     ],

@@ -82,7 +82,7 @@ class ModelConfig:
     ransac_samples: int = option(
         0, 'best point matches that RANSAC draws from; 0 = all', low=0, high=100_000
     )
-
+    # further attempts
     attempts: int = option(
         5,
         'most registrations of a pair, each in another frame, while there is doubt',

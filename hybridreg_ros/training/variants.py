@@ -25,9 +25,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     'one-attempt': {'attempts': 1},
     'lgr': _LGR,
     'lgr-no-mask': {**_LGR, 'use_mask': False},
-    **{
-        f'ransac-{n}': {**_LGR, 'estimator': 'ransac', 'ransac_samples': n} for n in RANSAC_SAMPLES
-    },
+    **{f'ransac-{n}': {**_RANSAC, 'ransac_samples': n} for n in RANSAC_SAMPLES},
     **{f'lgr-top-{n}': {**_LGR, 'top_pairs': n} for n in TOP_PAIRS},
 }
 """What each variant changes in the `ModelConfig` of the weights."""

@@ -12,9 +12,10 @@ import pytest
 
 from hybridreg_ros import HybridReg
 from hybridreg_ros.core import se3
-from hybridreg_ros.core.errors import RegistrationError
+from hybridreg_ros.core.errors import ConfigError, RegistrationError
 from hybridreg_ros.model.attempts import FRAMES, most_confident, rotated, rotated_back
 from hybridreg_ros.model.confidence import ConfidenceFeatures
+from hybridreg_ros.model.config import ModelConfig
 from hybridreg_ros.model.result import Correspondences, RegistrationResult
 
 if TYPE_CHECKING:
@@ -55,6 +56,13 @@ def test_attempt_that_is_refused_is_passed_over() -> None:
 
     best = most_confident(result(0.1), [refused, lambda: result(0.3)], sure=0.8)
     assert (best.confidence, best.attempts) == (0.3, 3)
+
+
+def test_as_many_attempts_can_be_asked_for_as_there_are_frames() -> None:
+    most = 1 + len(FRAMES)
+    assert ModelConfig(attempts=most).attempts == most
+    with pytest.raises(ConfigError, match='attempts'):
+        ModelConfig(attempts=most + 1)
 
 
 @pytest.mark.parametrize('R', FRAMES)

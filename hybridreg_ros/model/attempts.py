@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Further attempts at a pair that left doubt, each as if both sensors were mounted another way.
+"""Further attempts at a pair that left doubt: the other way round, and in rotated frames.
 
 The network does not see the same thing in a rotated pair: voxels cut surfaces elsewhere and kernel
-points lie elsewhere on them. What one attempt misses another may find, and a wrong pose seldom
-comes twice (test-time augmentation, for doubtful pairs only).
+points lie elsewhere on them; and what is aligned with what differs when source and target change
+places. What one attempt misses another may find, and a wrong pose seldom comes twice (test-time
+augmentation, for doubtful pairs only).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import RegistrationError
+from hybridreg_ros.model.upright import upright
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -37,9 +39,55 @@ FRAMES = (
     _rotation(0.0, 0.0, 180.0),
     _rotation(20.0, 0.0, 0.0),
     _rotation(0.0, 20.0, 0.0),
-    _rotation(0.0, 0.0, 160.0),
 )
-"""Rotations from the sensor frame to that of the second attempt, the third, and so on."""
+"""Rotations from the sensor frame to those of further attempts, in this order."""
+
+NARROW_FRAMES = (
+    _rotation(0.0, 0.0, 0.0),
+    _rotation(0.0, 20.0, 0.0),
+    _rotation(20.0, 0.0, 0.0),
+)
+"""The same for sensors with a narrow view, from their upright frame."""
+
+
+def frames_of(source: F32, target: F32) -> tuple[F64, ...]:
+    """Rotations (3, 3) from the sensor frame to those of the further attempts.
+
+    Those of a narrow view turn with the clouds, so a pair has the same further attempts however
+    the camera is mounted; views all round are taken to be upright (z up, REP 103).
+
+    Args:
+        source: (N, 3) sensor frame, metres.
+        target: (M, 3) likewise.
+    """
+    C = upright(source, target)
+    return FRAMES if C is None else tuple(R @ C for R in NARROW_FRAMES)
+
+
+def in_order(source: F32, target: F32) -> bool:
+    """Whether further attempts keep source and target as they are: the nearer cloud goes first.
+
+    So they do not depend on which cloud is called source, nor on how the sensor is mounted.
+
+    Args:
+        source: (N, 3) sensor frame, metres.
+        target: (M, 3) likewise.
+    """
+    near, far = (float(np.nanmean(np.linalg.norm(c, axis=1))) for c in (source, target))
+    return near <= far
+
+
+def exchanged(result: RegistrationResult) -> RegistrationResult:
+    """The result for the same two clouds, had source and target been each other."""
+    matches = result.correspondences
+    return dataclasses.replace(
+        result,
+        T_target_source=se3.inverse(result.T_target_source),
+        T_lgr=se3.inverse(result.T_lgr),
+        source_uncertainty=result.target_uncertainty,
+        target_uncertainty=result.source_uncertainty,
+        correspondences=dataclasses.replace(matches, source=matches.target, target=matches.source),
+    )
 
 
 def rotated(points: F32, R: F64) -> F32:
@@ -86,7 +134,8 @@ def most_confident(
             result = attempt()
         except RegistrationError:  # too few voxels are left when they are cut this way
             continue
-        timings = {stage: seconds + result.timings_s[stage] for stage, seconds in timings.items()}
+        more = result.timings_s
+        timings = {stage: seconds + more.get(stage, 0.0) for stage, seconds in timings.items()}
         best = max(best, result, key=lambda r: r.confidence)
     if count == first.attempts:
         return first

@@ -85,7 +85,7 @@ class ModelConfig:
     # further attempts
     attempts: int = option(
         5,
-        'most registrations of a pair, each in another frame, while there is doubt',
+        'most registrations of a pair, each done another way, while there is doubt',
         low=1,
         high=5,
     )

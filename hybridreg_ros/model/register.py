@@ -15,7 +15,14 @@ import torch
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import RegistrationError
-from hybridreg_ros.model.attempts import FRAMES, most_confident, rotated, rotated_back
+from hybridreg_ros.model.attempts import (
+    exchanged,
+    frames_of,
+    in_order,
+    most_confident,
+    rotated,
+    rotated_back,
+)
 from hybridreg_ros.model.checkpoint import load_checkpoint, packaged_weights
 from hybridreg_ros.model.confidence import Calibration, features_of
 from hybridreg_ros.model.estimators import judged
@@ -31,7 +38,7 @@ from hybridreg_ros.model.verify import proposals_of, verify, view_of
 from hybridreg_ros.model.voxel_size import choose_voxel_size_m
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from numpy.typing import ArrayLike, NDArray
@@ -129,7 +136,7 @@ class HybridReg:
     def register(
         self, source: ArrayLike, target: ArrayLike, voxel_size_m: float | None = None
     ) -> RegistrationResult:
-        """Register two clouds, again in rotated frames while the result leaves doubt.
+        """Register two clouds, again in other ways while the result leaves doubt.
 
         Args:
             source: (N, 3) source frame, metres; rows with NaN or inf are allowed.
@@ -148,7 +155,7 @@ class HybridReg:
     def retry(
         self, first: RegistrationResult, encoded: Encoded, source: ArrayLike, target: ArrayLike
     ) -> RegistrationResult:
-        """Further attempts at a pair, in rotated frames, for as long as there is doubt.
+        """Further attempts at a pair for as long as there is doubt: the other way round, rotated.
 
         Whichever attempt found it, the pose is refined on the voxels of the first, so that it
         does not depend on the attempt beyond what the refinement cannot mend.
@@ -159,14 +166,22 @@ class HybridReg:
             source: (N, 3) source frame, metres, as for the first attempt.
             target: (M, 3) target frame, metres.
         """
+        if first.confidence >= self.config.sure:
+            return first
         clouds = _as_cloud(source), _as_cloud(target)
+        straight = in_order(*clouds)
 
-        def attempt(R: F64) -> RegistrationResult:
-            a, b = (rotated(cloud, R) for cloud in clouds)
-            return rotated_back(self._attempt(a, b, first.voxel_size_m)[0], R)
+        def turned(R: F64) -> RegistrationResult:
+            a, b = (rotated(cloud, R) for cloud in (clouds if straight else clouds[::-1]))
+            result = rotated_back(self._attempt(a, b, first.voxel_size_m)[0], R)
+            return result if straight else exchanged(result)
 
-        frames = FRAMES[: self.config.attempts - 1]
-        best = most_confident(first, (partial(attempt, R) for R in frames), self.config.sure)
+        def other_way_round() -> RegistrationResult:
+            return exchanged(self.match(*encoded[::-1]))
+
+        ways: list[Callable[[], RegistrationResult]] = [other_way_round]
+        ways += [partial(turned, R) for R in frames_of(*clouds)]
+        best = most_confident(first, ways[: self.config.attempts - 1], self.config.sure)
         if best.T_target_source is first.T_target_source:
             return best
         return dataclasses.replace(best, T_target_source=_refined(best.T_target_source, encoded))

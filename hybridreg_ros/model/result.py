@@ -77,7 +77,7 @@ class RegistrationResult:
         voxel_size_m: finest voxel used.
         features: what the confidence was computed from.
         timings_s: seconds per stage: encode, network, verify, refine, total; of all attempts.
-        attempts: number of registrations, each in another frame, that this is the best of.
+        attempts: number of registrations, each done another way, that this is the best of.
     """
 
     T_target_source: NDArray[np.float64]

@@ -13,7 +13,16 @@ import pytest
 from hybridreg_ros import HybridReg
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import ConfigError, RegistrationError
-from hybridreg_ros.model.attempts import FRAMES, most_confident, rotated, rotated_back
+from hybridreg_ros.model.attempts import (
+    FRAMES,
+    NARROW_FRAMES,
+    exchanged,
+    frames_of,
+    in_order,
+    most_confident,
+    rotated,
+    rotated_back,
+)
 from hybridreg_ros.model.confidence import ConfidenceFeatures
 from hybridreg_ros.model.config import ModelConfig
 from hybridreg_ros.model.result import Correspondences, RegistrationResult
@@ -58,14 +67,59 @@ def test_attempt_that_is_refused_is_passed_over() -> None:
     assert (best.confidence, best.attempts) == (0.3, 3)
 
 
-def test_as_many_attempts_can_be_asked_for_as_there_are_frames() -> None:
-    most = 1 + len(FRAMES)
+def test_as_many_attempts_can_be_asked_for_as_there_are_ways() -> None:
+    assert len(FRAMES) == len(NARROW_FRAMES)
+    most = 2 + len(FRAMES)  # as it is, the other way round, in each frame
     assert ModelConfig(attempts=most).attempts == most
     with pytest.raises(ConfigError, match='attempts'):
         ModelConfig(attempts=most + 1)
 
 
-@pytest.mark.parametrize('R', FRAMES)
+def cone(seed: int, count: int = 400) -> np.ndarray:
+    """(N, 3) points in a narrow view along z, nearer towards +y."""
+    rng = np.random.default_rng(seed)
+    rays = np.stack([rng.uniform(-0.7, 0.7, count), rng.uniform(-0.4, 0.4, count)], axis=1)
+    depth = 3.0 - 2.0 * rays[:, 1]
+    return np.column_stack([rays * depth[:, None], depth]).astype(np.float32)
+
+
+def test_frames_turn_with_a_narrow_view_and_stay_for_a_view_all_round() -> None:
+    source, target = cone(0), cone(1)
+    Q = se3.so3_exp(np.array([1.0, -0.5, 2.0]))
+    straight = frames_of(source, target)
+    for R, turned in zip(straight, frames_of(rotated(source, Q), rotated(target, Q)), strict=True):
+        np.testing.assert_allclose(turned @ Q, R, atol=1e-3)
+    around = np.concatenate([source, source * [1, 1, -1]]).astype(np.float32)
+    assert frames_of(around, around) is FRAMES
+
+
+def test_order_depends_on_neither_roles_nor_rotation() -> None:
+    near, far = cone(0), 1.1 * cone(1)
+    near[0] = np.nan
+    Q = se3.so3_exp(np.array([1.0, -0.5, 2.0]))
+    assert in_order(near, far)
+    assert not in_order(far, near)
+    assert in_order(rotated(near, Q), rotated(far, Q))
+
+
+def test_exchanged_result_maps_the_other_way() -> None:
+    straight = dataclasses.replace(
+        result(0.5),
+        source_uncertainty=np.zeros(3, np.float32),
+        target_uncertainty=np.ones(4, np.float32),
+    )
+    back = exchanged(straight)
+    np.testing.assert_allclose(
+        back.T_target_source @ straight.T_target_source, np.eye(4), atol=1e-12
+    )
+    np.testing.assert_allclose(back.T_lgr @ straight.T_lgr, np.eye(4), atol=1e-12)
+    assert (len(back.source_uncertainty), len(back.target_uncertainty)) == (4, 3)
+    pairs = back.correspondences
+    moved = se3.apply(back.T_target_source, pairs.source)
+    np.testing.assert_allclose(moved, pairs.target, atol=1e-5)
+
+
+@pytest.mark.parametrize('R', FRAMES + NARROW_FRAMES)
 def test_result_in_rotated_frames_is_put_right(R: np.ndarray) -> None:
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
     straight, C = result(0.5), se3.transform(R, np.zeros(3))

@@ -43,9 +43,12 @@ class Row(NamedTuple):
 ROWS = {
     'e': Row('no mask', {'mask': 'none'}, False),
     'f': Row('mask learned with L1', {'mask': 'l1'}, False),
-    'g': Row('mask learned with NLL', {'mask': 'nll', 'mask_stop_gradient': False}, False),
+    'g': Row('mask learned with NLL', {'mask': 'nll'}, False),
     'h': Row(
-        'the same, and it weighs the correlation',
+        'NLL, and it weighs the correlation', {'mask': 'nll', 'masked_correlation': True}, True
+    ),
+    'h-gradient': Row(
+        'the same, with a gradient through the mean of the likelihood',
         {'mask': 'nll', 'mask_stop_gradient': False, 'masked_correlation': True},
         True,
     ),

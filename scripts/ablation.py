@@ -8,7 +8,8 @@ r"""Rows e to h of the paper's ablation, each trained on from the same weights f
 Every row sees the same samples in the same order and starts with the same mask head, drawn anew,
 for that of the trunk has learned from one row's loss. A run that was killed goes on where it
 stopped, and what has been scored is kept. Prints the table: LGR alone, as in the paper, and
-`register()`.
+refined. Not the whole of `register()`: its choice between poses and its confidence are fitted to
+the weights that ship, not to these.
 """
 
 from __future__ import annotations
@@ -82,8 +83,8 @@ def row_config(base: TrainConfig, name: str, trunk: str, steps: int, out: Path) 
 
 
 def score(name: str, out: Path, test: Sequence[Path], limit: int) -> list[dict[str, Any]]:
-    """Rows of the report of `register()`, one a split; what has been scored is kept."""
-    method = 'hybridreg' if ROWS[name].masked else 'no-mask'
+    """Rows of the report of LGR, one a split; what has been scored is kept."""
+    method = 'lgr' if ROWS[name].masked else 'lgr-no-mask'
     kept, weights = out / name / method, out / name / 'last.safetensors'
     call = ['evaluate', *test, '--method', method, '--limit', limit, '--weights', weights]
     call += ['--keep', kept.with_suffix('.jsonl'), '--json', kept.with_suffix('.json')]
@@ -114,7 +115,7 @@ def main() -> None:
         header = [f'{part["split"]} (n = {part["pairs"]})' for part in scores]
         cells = [f'{100.0 * part["RR_coarse"]:.1f} / {100.0 * part["RR"]:.1f}' for part in scores]
         lines.append([name, ROWS[name].title, *cells])
-    head = ['row', 'RR %: LGR alone / register()', *header]
+    head = ['row', 'RR %: LGR alone / refined', *header]
     for line in (head, ['---'] * len(head), *lines):
         print('| ' + ' | '.join(line) + ' |')
 

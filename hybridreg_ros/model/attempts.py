@@ -70,15 +70,16 @@ def in_order(source: F32, target: F32) -> bool:
     So they do not depend on which cloud is called source, nor on how the sensor is mounted.
 
     Args:
-        source: (N, 3) sensor frame, metres.
+        source: (N, 3) sensor frame, metres; rows with NaN or inf are ignored.
         target: (M, 3) likewise.
     """
-    near, far = (float(np.nanmean(np.linalg.norm(c, axis=1))) for c in (source, target))
+    finite = (cloud[np.isfinite(cloud).all(axis=1)] for cloud in (source, target))
+    near, far = (float(np.linalg.norm(points, axis=1).mean()) for points in finite)
     return near <= far
 
 
 def exchanged(result: RegistrationResult) -> RegistrationResult:
-    """The result for the same two clouds, had source and target been each other."""
+    """The result, had source and target been each other: poses (4, 4) inverted, sides swapped."""
     matches = result.correspondences
     return dataclasses.replace(
         result,

@@ -8,6 +8,7 @@ import dataclasses
 import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,7 +39,7 @@ from hybridreg_ros.model.verify import proposals_of, verify, view_of
 from hybridreg_ros.model.voxel_size import choose_voxel_size_m
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
     from numpy.typing import ArrayLike, NDArray
@@ -166,22 +167,21 @@ class HybridReg:
             source: (N, 3) source frame, metres, as for the first attempt.
             target: (M, 3) target frame, metres.
         """
-        if first.confidence >= self.config.sure:
-            return first
         clouds = _as_cloud(source), _as_cloud(target)
-        straight = in_order(*clouds)
 
-        def turned(R: F64) -> RegistrationResult:
+        def turned(R: F64, straight: bool) -> RegistrationResult:
             a, b = (rotated(cloud, R) for cloud in (clouds if straight else clouds[::-1]))
             result = rotated_back(self._attempt(a, b, first.voxel_size_m)[0], R)
             return result if straight else exchanged(result)
 
-        def other_way_round() -> RegistrationResult:
-            return exchanged(self.match(*encoded[::-1]))
+        def ways() -> Iterator[Callable[[], RegistrationResult]]:
+            yield lambda: exchanged(self.match(*encoded[::-1]))
+            straight = in_order(*clouds)
+            for R in frames_of(*clouds):
+                yield partial(turned, R, straight)
 
-        ways: list[Callable[[], RegistrationResult]] = [other_way_round]
-        ways += [partial(turned, R) for R in frames_of(*clouds)]
-        best = most_confident(first, ways[: self.config.attempts - 1], self.config.sure)
+        tried = islice(ways(), self.config.attempts - 1)
+        best = most_confident(first, tried, self.config.sure)
         if best.T_target_source is first.T_target_source:
             return best
         return dataclasses.replace(best, T_target_source=_refined(best.T_target_source, encoded))

@@ -100,6 +100,9 @@ def test_order_depends_on_neither_roles_nor_rotation() -> None:
     assert in_order(near, far)
     assert not in_order(far, near)
     assert in_order(rotated(near, Q), rotated(far, Q))
+    near[1] = np.inf
+    assert in_order(near, far)
+    assert not in_order(far, near)
 
 
 def test_exchanged_result_maps_the_other_way() -> None:

@@ -118,7 +118,7 @@ def _lasts(support):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def associate(points, R, t, grid, wider, widest, update, kind, anchor, normal, var):  # type: ignore[no-untyped-def]
+def associate(points, R, t, grid, wider, widest, update, kind, anchor, normal, var, born):  # type: ignore[no-untyped-def]
     """Surface of the map nearest to each moved point.
 
     The nearest stored point within one voxel edge brings its surface along. It is fitted when
@@ -135,6 +135,7 @@ def associate(points, R, t, grid, wider, widest, update, kind, anchor, normal, v
         anchor: (N, 3) float64 out, a point of the surface.
         normal: (N, 3) float64 out, unit normal (PLANE).
         var: (N,) float64 out, variance of the map points across the plane, m^2.
+        born: (N,) float64 out, age of the map, seconds, when that stored point was first seen.
     """
     for row in range(len(points)):
         px, py, pz = points[row, 0], points[row, 1], points[row, 2]
@@ -149,6 +150,7 @@ def associate(points, R, t, grid, wider, widest, update, kind, anchor, normal, v
         if grid.fitted[voxel, i] == 0 or age > _lasts(grid.support[voxel, i]):
             fit_surface(voxel, i, grid, wider, widest, update)
         kind[row] = grid.kind[voxel, i]
+        born[row] = grid.born[voxel, i]
         offset = grid.surface[voxel, i, 3]
         for axis in range(3):
             normal[row, axis] = grid.surface[voxel, i, axis]

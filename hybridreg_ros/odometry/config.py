@@ -123,6 +123,14 @@ class RefineConfig(Section):
         'error of their normals; directions that hold no more are left to the motion so far',
         low=0.0, high=1.0,
     )  # fmt: skip
+    mature_s: float = option(
+        0.5, 'a surface of the map counts fully once it has been seen for so long, seconds; 0 = '
+        'all alike',
+        low=0.0, high=100.0,
+    )  # fmt: skip
+    young: float = option(
+        0.1, 'weight of a surface that was first seen in the last scan', low=0.0, high=1.0
+    )
     sway: bool = option(
         True, 'find the uneven motion during a scan along with its pose when points carry times'
     )

@@ -230,7 +230,7 @@ class Dynamics:
         anchor, normal = np.zeros((n, 3)), np.zeros((n, 3))
         align.associate(
             placed, np.eye(3), np.zeros(3), level.grid, level.grid, level.grid, local_map.updates,
-            kind, anchor, normal, variance,
+            kind, anchor, normal, variance, np.zeros(n),
         )  # fmt: skip
         off = np.abs(np.einsum('ij,ij->i', placed - anchor, normal))
         thin = variance < (self._slack_m) ** 2

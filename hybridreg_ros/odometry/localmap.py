@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry import voxelmap
 from hybridreg_ros.odometry.voxelmap import Grid
 
@@ -15,7 +16,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _START_VOXELS = 1 << 13
-_PER_VOXEL = ('keys', 'counts', 'store', 'mass', 'beam', 'surface', 'kind', 'fitted', 'support')
+_PER_VOXEL = (
+    'keys', 'counts', 'store', 'mass', 'beam', 'born', 'surface', 'kind', 'fitted', 'support',
+)  # fmt: skip
 
 
 class VoxelLevel:
@@ -50,6 +53,7 @@ class VoxelLevel:
             store=np.zeros((*points, 3), np.float32),
             mass=np.zeros(points, np.float32),
             beam=np.zeros((*points, 3), np.float32),
+            born=np.zeros(points, np.float32),
             surface=np.zeros((*points, 5), np.float32),
             kind=np.zeros(points, np.int8),
             fitted=np.zeros(points, np.int32),
@@ -62,12 +66,13 @@ class VoxelLevel:
         points: NDArray[np.floating],
         weights: NDArray[np.floating],
         origin: NDArray[np.float64],
+        now_s: float,
     ) -> None:
-        """Add points (N, 3), map frame, metres, with weights (N,), seen from a place (3,)."""
+        """Add points (N, 3), map frame, metres, with weights (N,), seen from a place (3,), now."""
         row = 0
         while row < len(points):
             self.used, done = voxelmap.insert(
-                points[row:], weights[row:], origin, self._spacing_sq, self.grid, self.used
+                points[row:], weights[row:], origin, now_s, self._spacing_sq, self.grid, self.used
             )
             row += done
             if row < len(points):
@@ -116,6 +121,11 @@ class LocalMap:
         noisy: whether the noise grows with the range, as that of a depth camera. Then surfaces are
             fitted to stored points by their mass, and where the middle level is too noisy to show
             one, the coarse level does. Rings of a lidar pile up mass where they lie by chance.
+
+    Attributes:
+        changes: how often its points changed.
+        updates: how often points were added.
+        age_s: seconds from its first points to its last ones, on a clock that never goes back.
     """
 
     def __init__(
@@ -135,6 +145,8 @@ class LocalMap:
         self._pruned_at = np.full(3, np.inf)
         self.changes = 0
         self.updates = 0
+        self.age_s = 0.0
+        self._stamp: int | None = None
 
     @property
     def levels(self) -> tuple[VoxelLevel, VoxelLevel, VoxelLevel]:
@@ -155,6 +167,7 @@ class LocalMap:
         points: NDArray[np.floating],
         position: NDArray[np.float64],
         weights: NDArray[np.floating] | None = None,
+        stamp: int = 0,
     ) -> None:
         """Add static points and forget what is out of reach.
 
@@ -162,12 +175,16 @@ class LocalMap:
             points: (N, 3) odom frame, metres.
             position: (3,) of the sensor, odom frame, metres.
             weights: (N,) of each point in means with others there, at most 1; None = 1.
+            stamp: when they were seen, ns.
         """
         given = np.ones(len(points)) if weights is None else np.asarray(weights, np.float64)
         self.updates += 1
         self.changes += 1
+        if self._stamp is not None:
+            self.age_s += max(0, stamp - self._stamp) / NS_PER_S
+        self._stamp = stamp
         for level in self.levels:
-            level.add(points, given, np.asarray(position, np.float64))
+            level.add(points, given, np.asarray(position, np.float64), self.age_s)
         if not np.linalg.norm(position - self._pruned_at) < 0.1 * self._reach_m:
             for level in self.levels:
                 level.keep_near(position, self._reach_m)
@@ -190,4 +207,5 @@ class LocalMap:
         for level in self.levels:
             level.clear()
         self._pruned_at = np.full(3, np.inf)
+        self.age_s, self._stamp = 0.0, None
         self.changes += 1

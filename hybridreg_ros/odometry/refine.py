@@ -11,6 +11,7 @@ import numpy as np
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.odometry import align, sway
+from hybridreg_ros.odometry.maturity import by_age
 from hybridreg_ros.odometry.surfaces import Surfaces
 from hybridreg_ros.odometry.sway import NO_SWAY, Sway
 
@@ -81,7 +82,7 @@ def refine(
     floor = 4.0 * config.min_scale if basin == 'fine' else 0.4 * config.start_scale
     levels = local_map.of_surfaces
     T, converged, surfaces = _iterate(
-        points, trust, start, levels, local_map.updates, config, floor, prior
+        points, trust, start, levels, local_map, config, floor, prior
     )
     if times is None or not config.sway:
         if converged:  # it stands where it was paired last
@@ -108,12 +109,13 @@ def _with_sway(
     low = config.min_scale * level.size_m
     for _ in range(config.sway_iterations):
         surfaces.search(moved, T, local_map.of_surfaces, local_map.updates)
+        lasting = by_age(trust, surfaces, local_map.age_s, config)
         step = 0.0
         for _ in range(2):
             surfaces.measure(moved, T)
             scale = surfaces.scales(order, low, level.size_m)
             sums = sway.moments(
-                moved, times, trust, T[:3, :3].copy(), T[:3, 3].copy(), surfaces.kind,
+                moved, times, lasting, T[:3, :3].copy(), T[:3, 3].copy(), surfaces.kind,
                 surfaces.anchor, surfaces.normal, surfaces.variance, scale,
                 (_POINT_SPREAD * level.size_m) ** 2,
             )  # fmt: skip
@@ -138,9 +140,7 @@ def pull_in(
     points, trust = _prepared(points[some], None if weights is None else weights[some])
     level = local_map.coarse if basin == 'coarse' else local_map.middle
     levels = (level, local_map.coarse, local_map.coarse)
-    return _iterate(
-        points, trust, T_odom_sensor, levels, local_map.updates, config, config.start_scale
-    )[0]
+    return _iterate(points, trust, T_odom_sensor, levels, local_map, config, config.start_scale)[0]
 
 
 def _prepared(
@@ -259,7 +259,7 @@ def _iterate(
     trust: NDArray[np.float64],
     T: NDArray[np.float64],
     levels: tuple[VoxelLevel, VoxelLevel, VoxelLevel],
-    update: int,
+    local_map: LocalMap,
     config: RefineConfig,
     floor: float,
     prior: Expected | None = None,
@@ -274,13 +274,14 @@ def _iterate(
     reach = float(np.median(np.linalg.norm(points, axis=1))) if len(points) else 1.0
     order = _by_range(points)
     for _ in range(config.max_iterations):
-        surfaces.search(points, T, levels, update)
+        surfaces.search(points, T, levels, local_map.updates)
+        lasting = by_age(trust, surfaces, local_map.age_s, config)
         moved = 0.0
         for _ in range(2):
             surfaces.measure(points, T)
             low = max(floor, config.min_scale) * level.size_m
             scale = surfaces.scales(order, low, level.size_m)
-            H, b, any_way = _system(points, trust, T, surfaces, scale, level)
+            H, b, any_way = _system(points, lasting, T, surfaces, scale, level)
             if prior is not None:
                 H, b = believed(H, b, any_way, config.loose)
                 weight, pull = prior.pull(T)

@@ -30,6 +30,7 @@ class Surfaces:
         self.anchor = np.zeros((count, 3))
         self.normal = np.zeros((count, 3))
         self.variance = np.zeros(count)
+        self.born = np.zeros(count)
         self.residual = np.full(count, np.inf)
 
     def search(
@@ -43,6 +44,7 @@ class Surfaces:
         align.associate(
             points, T[:3, :3].copy(), T[:3, 3].copy(), levels[0].grid, levels[1].grid,
             levels[2].grid, update, self.kind, self.anchor, self.normal, self.variance,
+            self.born,
         )  # fmt: skip
 
     def measure(self, points: NDArray[np.float64], T: NDArray[np.float64]) -> None:

@@ -274,7 +274,7 @@ class Tracker:
         if write:
             points = cloud.means[still[cloud.map_rows]].astype(np.float64)
             weights = certainty(points, self.sensor)
-            self._map.update(se3.apply(pose, points), pose[:3, 3], weights)
+            self._map.update(se3.apply(pose, points), pose[:3, 3], weights, stamp)
         drawn = image if still.all() else self._sightings.draw(cloud, pose, still)
         self._sightings.keep(drawn, is_keyframe)
 

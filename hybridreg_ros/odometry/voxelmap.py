@@ -23,6 +23,7 @@ class Grid(NamedTuple):
         store: (V, K, 3) float32 those points, map frame, metres.
         mass: (V, K) float32, sum of the weights of what each is the mean of, at most MOST_MASS.
         beam: (V, K, 3) float32 unit direction, map frame, in which each was first seen.
+        born: (V, K) float32 age of the map, seconds, when each was first seen.
         surface: (V, K, 5) float32 unit normal, offset of the surface along it, variance across it.
         kind: (V, K) int8, POINT or PLANE once fitted.
         fitted: (V, K) int32, update after which the surface was fitted, 0 = not yet.
@@ -38,6 +39,7 @@ class Grid(NamedTuple):
     store: NDArray[np.float32]
     mass: NDArray[np.float32]
     beam: NDArray[np.float32]
+    born: NDArray[np.float32]
     surface: NDArray[np.float32]
     kind: NDArray[np.int8]
     fitted: NDArray[np.int32]
@@ -86,7 +88,7 @@ def find_slot(table, key):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def insert(points, weights, origin, spacing_sq, grid, used):  # type: ignore[no-untyped-def]
+def insert(points, weights, origin, now_s, spacing_sq, grid, used):  # type: ignore[no-untyped-def]
     """Add points (N, 3) to the grid; where one is stored already, that one becomes a mean.
 
     A point joins the nearest stored one of its voxel when it is nearer than the spacing, or than
@@ -97,6 +99,7 @@ def insert(points, weights, origin, spacing_sq, grid, used):  # type: ignore[no-
         points: (N, 3) float, map frame.
         weights: (N,) of each point in a mean.
         origin: (3,) place of the sensor, map frame.
+        now_s: age of the map, seconds.
         spacing_sq: smallest squared distance between two points of one voxel.
         grid: the level.
         used: voxels in use.
@@ -148,6 +151,7 @@ def insert(points, weights, origin, spacing_sq, grid, used):  # type: ignore[no-
             grid.beam[voxel, count, 0] = bx / far
             grid.beam[voxel, count, 1] = by / far
             grid.beam[voxel, count, 2] = bz / far
+            grid.born[voxel, count] = now_s
             grid.fitted[voxel, count] = 0
             grid.counts[voxel] = count + 1
     return used, len(points)
@@ -172,6 +176,7 @@ def keep_near(centre, reach_sq, grid, used):  # type: ignore[no-untyped-def]
             grid.store[kept] = grid.store[voxel]
             grid.mass[kept] = grid.mass[voxel]
             grid.beam[kept] = grid.beam[voxel]
+            grid.born[kept] = grid.born[voxel]
             grid.surface[kept] = grid.surface[voxel]
             grid.kind[kept] = grid.kind[voxel]
             grid.fitted[kept] = grid.fitted[voxel]
@@ -207,6 +212,7 @@ def erase_near(points, reach_sq, grid):  # type: ignore[no-untyped-def]
                 grid.store[voxel, i] = grid.store[voxel, grid.counts[voxel]]
                 grid.mass[voxel, i] = grid.mass[voxel, grid.counts[voxel]]
                 grid.beam[voxel, i] = grid.beam[voxel, grid.counts[voxel]]
+                grid.born[voxel, i] = grid.born[voxel, grid.counts[voxel]]
                 grid.fitted[voxel, i] = 0
                 removed += 1
             else:

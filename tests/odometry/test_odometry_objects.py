@@ -93,7 +93,7 @@ def test_map_points_average_what_is_measured_around_them() -> None:
     level = VoxelLevel(0.1, 4)
     for _ in range(25):
         place = np.array([[0.05, 0.05, 0.05]]) + rng.normal(0.0, 0.004, (1, 3))
-        level.add(place, np.ones(1), np.zeros(3))
+        level.add(place, np.ones(1), np.zeros(3), 0.0)
     assert len(level.points()) == 1
     assert np.linalg.norm(level.points()[0] - 0.05) < 0.003
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import log10
 from typing import TYPE_CHECKING
 
 from hybridreg_ros.odometry.result import Reason, Source
@@ -44,8 +45,9 @@ class Located:
     uncertainty: F32 | None = None
 
     def adds_to_map(self, gate: GateConfig) -> bool:
-        """Whether the scan enters the map: not when in doubt and the map shows it already."""
-        return self.confidence >= gate.write or self.evidence.overlap < gate.known
+        """Whether the scan enters the map: not in doubt or held loosely where the map shows it."""
+        firm = self.confidence >= gate.write and self.evidence.weakness <= log10(gate.firm_m)
+        return firm or self.evidence.overlap < gate.known
 
 
 @dataclass(frozen=True, eq=False)

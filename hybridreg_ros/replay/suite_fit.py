@@ -131,25 +131,26 @@ def gather(
     off = partial(Jolted, *_JOLTS[sequence.kind], seed=sequence.seed + stride)
     odometry = HybridOdometry(config, model=None, motion=off if jolted else Motion)
     limits = sequence.limits
-    anchor: tuple[F64, F64] | None = None
+    known: list[tuple[F64, F64]] = []  # the last right pose and the last one, with their truth
     last: tuple[F64, F64, F64] | None = None
     features, right, nees = [], [], []
     for frame in frames[::stride]:
         result = odometry.step(frame.scan)
         truth = frame.T_world_sensor
-        if anchor is not None:
+        if known:
             for candidate in _distinct(odometry.judged):
                 if candidate.evidence.overlap >= base.gate.min_overlap:
                     features.append([getattr(candidate.evidence, name) for name in FEATURES])
-                    right.append(_right(anchor, (candidate.reported, truth), limits))
+                    right.append(_right(known, (candidate.reported, truth), limits))
         if result.reason is Reason.RECOVERED and result.confidence == 0.0:
-            anchor, last = (result.pose, truth), None  # a new map: the way to it is not known
+            known, last = [(result.pose, truth)], None  # a new map: the way to it is not known
             continue
-        good = anchor is None or _right(anchor, (result.pose, truth), limits)
+        good = not known or _right(known, (result.pose, truth), limits)
+        known = [(result.pose, truth) if good else known[0], (result.pose, truth)]
         if good and result.confidence > 0.0 and result.source is not Source.LOST:
             if last is not None:
                 nees.append(_nees(last, (result.pose, truth, result.covariance)))
-            anchor, last = (result.pose, truth), (result.pose, truth, result.covariance)
+            last = result.pose, truth, result.covariance
         else:
             last = None
     return Evidences(
@@ -171,10 +172,15 @@ def _distinct(candidates: list[Candidate]) -> list[Candidate]:
     return kept
 
 
-def _right(anchor: tuple[F64, F64], here: tuple[F64, F64], limits: tuple[float, float]) -> bool:
-    """Whether the way from the last right pose to this one is right."""
-    metres, degrees = step_errors(np.array([anchor[0], here[0]]), np.array([anchor[1], here[1]]))
-    return bool(metres[0] <= limits[0] and degrees[0] <= limits[1])
+def _right(
+    known: Many[tuple[F64, F64]], here: tuple[F64, F64], limits: tuple[float, float]
+) -> bool:
+    """Whether the way from one of the known poses to this one is right, as a score counts it."""
+    for pose, truth in known:
+        metres, degrees = step_errors(np.array([pose, here[0]]), np.array([truth, here[1]]))
+        if metres[0] <= limits[0] and degrees[0] <= limits[1]:
+            return True
+    return False
 
 
 def _nees(last: tuple[F64, F64, F64], here: tuple[F64, F64, F64]) -> float:

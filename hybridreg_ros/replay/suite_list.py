@@ -82,11 +82,11 @@ def _development() -> tuple[Sequence, ...]:
     rooms = ((501, 'none'), (502, '30-50'), (505, '10-30'), (507, '30-50'))
     streets = ((504, '10-30'), (506, 'none'))
     narrow = ((502, '30-50', 80), (911, '30-50', 200))
-    long_rooms = ((902, '30-50'), (911, '30-50'), (923, '30-50'))
+    long_rooms = (902, 911, 923, 931, 933, 936)
     few_rings = ((823, '30-50'), (827, '30-50'), (840, 'none'))
     return (
         *(_simulated(f'dev-room-{seed}', 'dev', 80, share, seed) for seed, share in rooms),
-        *(_simulated(f'dev-room-{seed}', 'dev', 200, share, seed) for seed, share in long_rooms),
+        *(_simulated(f'dev-room-{seed}', 'dev', 200, '30-50', seed) for seed in long_rooms),
         *(
             replace(_simulated(f'dev-narrow-{seed}', 'dev', frames, share, seed), window=0.15)
             for seed, share, frames in narrow

@@ -10,7 +10,7 @@ from tiny_world import Box, cast, depth_rays, pose
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import NS_PER_S, Scan
-from hybridreg_ros.odometry.confidence import Evidence
+from hybridreg_ros.odometry.confidence import Evidence, weakness
 from hybridreg_ros.odometry.config import GateConfig, OdometryConfig, RefineConfig
 from hybridreg_ros.odometry.localmap import LocalMap
 from hybridreg_ros.odometry.located import Located
@@ -97,13 +97,19 @@ def test_few_cubes_are_made_finer_for_the_registration() -> None:
 
 
 @pytest.mark.parametrize(
-    ('confidence', 'overlap', 'written'),
-    [(0.5, 0.95, False), (0.5, 0.5, True), (0.95, 0.95, True)],
+    ('confidence', 'held_m', 'overlap', 'written'),
+    [
+        (0.5, 0.005, 0.95, False),
+        (0.5, 0.005, 0.5, True),
+        (0.95, 0.005, 0.95, True),
+        (0.95, 0.02, 0.95, False),
+        (0.95, 0.02, 0.5, True),
+    ],
 )
-def test_a_doubtful_scan_is_written_only_where_the_map_is_empty(
-    confidence: float, overlap: float, written: bool
+def test_a_doubtful_or_loose_scan_is_written_only_where_the_map_is_empty(
+    confidence: float, held_m: float, overlap: float, written: bool
 ) -> None:
     fit = Fit(np.eye(4), np.eye(6), overlap, 0.01, True)
-    evidence = Evidence(overlap, 1.0, 0.9)
+    evidence = Evidence(overlap, 1.0, 0.9, weakness=weakness(held_m))
     found = Located(fit, evidence, Source.KISS_ICP, Reason.OK, confidence, confidence)
     assert found.adds_to_map(GateConfig()) is written

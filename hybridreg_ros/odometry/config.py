@@ -218,10 +218,10 @@ class GateConfig(Section):
         0.9, 'a scan of lower confidence is not written to the map where the map shows it already',
         low=0.0, high=1.0,
     )  # fmt: skip
-    firm_m: float = option(
-        0.01, 'nor is a scan whose position is held more loosely than this along its worst '
-        'direction, metres',
-        low=1e-3, high=1000.0,
+    firm: float = option(
+        0.2, 'nor is a scan whose position is held more loosely than this along its worst '
+        'direction, in voxels; neither of them becomes a keyframe',
+        low=0.0, high=1000.0,
     )  # fmt: skip
     known: float = option(
         0.8, 'share of the points that find the map, from which it shows the scan already',

@@ -5,9 +5,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import log10
 from typing import TYPE_CHECKING
 
+from hybridreg_ros.odometry.confidence import weakness
 from hybridreg_ros.odometry.result import Reason, Source
 
 if TYPE_CHECKING:
@@ -44,10 +44,11 @@ class Located:
     evident: float
     uncertainty: F32 | None = None
 
-    def adds_to_map(self, gate: GateConfig) -> bool:
+    def adds_to_map(self, gate: GateConfig, voxel_size_m: float) -> bool:
         """Whether the scan enters the map: not in doubt or held loosely where the map shows it."""
-        firm = self.confidence >= gate.write and self.evidence.weakness <= log10(gate.firm_m)
-        return firm or self.evidence.overlap < gate.known
+        firm = self.evidence.weakness <= weakness(gate.firm * voxel_size_m)
+        sure = self.confidence >= gate.write
+        return (sure and firm) or self.evidence.overlap < gate.known
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,6 +45,9 @@ things start and stop."""
 _FAR = 3.0
 """A pose of the network farther off the expected one, in (widened) standard deviations, is refined
 without it."""
+_LEFT = 0.2
+"""A mask of the network that leaves less of the trusted points says that it recognises nothing,
+not that all of them move: poses are judged without it."""
 
 
 class Locator:
@@ -121,8 +124,9 @@ class Locator:
         watch.lap('match')
         if proposal is not None:  # its mask knows of those who came since the last scan
             still = trust * (1.0 - proposal.uncertainty[cloud.icp_in_map])
-            check = partial(self._judged, cloud, still, expected)
-            first = None if first is None else check(first.fit)
+            if (still > 0.5).sum() >= _LEFT * (trust > 0.5).sum():
+                check = partial(self._judged, cloud, still, expected)
+                first = None if first is None else check(first.fit)
         found = self._by_network(cloud, proposal, trust, check)
         watch.lap('refine')
         if isinstance(found, Reason):

@@ -192,10 +192,10 @@ class Tracker:
         image = self._sightings.draw(cloud, pose)
         dynamic = self._dynamics.update(cloud, pose, self._map, found.uncertainty)
         watch.lap('dynamics')
-        is_keyframe = self._keyframes.wanted(pose, stamp, found.evidence.seen)
+        write = found.adds_to_map(self._config.gate, self.sensor.voxel_size_m)
+        is_keyframe = write and self._keyframes.wanted(pose, stamp, found.evidence.seen)
         if is_keyframe:
             self._add_keyframe(cloud, pose, stamp)
-        write = found.adds_to_map(self._config.gate)
         self._write(cloud, pose, stamp, image, dynamic, is_keyframe, write)
         watch.lap('map')
         reason = Reason.RECOVERED if was_lost else found.reason

@@ -112,4 +112,4 @@ def test_a_doubtful_or_loose_scan_is_written_only_where_the_map_is_empty(
     fit = Fit(np.eye(4), np.eye(6), overlap, 0.01, True)
     evidence = Evidence(overlap, 1.0, 0.9, weakness=weakness(held_m))
     found = Located(fit, evidence, Source.KISS_ICP, Reason.OK, confidence, confidence)
-    assert found.adds_to_map(GateConfig()) is written
+    assert found.adds_to_map(GateConfig(), 0.05) is written

@@ -22,6 +22,7 @@ class NeighbourhoodRegistrar:
     Attributes:
         dim: factor on the confidence, to make the gate close in a test.
         shift_m: error put on the result along x, to make it wrong in a test.
+        doubt: uncertainty of every point.
         matches: how often `match` ran.
         encodes: how often `encode` ran.
     """
@@ -29,6 +30,7 @@ class NeighbourhoodRegistrar:
     def __init__(self, turns_deg: tuple[float, ...] = (0.0,)) -> None:
         self.dim = 1.0
         self.shift_m = 0.0
+        self.doubt = 0.0
         self.matches = 0
         self.encodes = 0
         self._turns_deg = turns_deg
@@ -46,7 +48,9 @@ class NeighbourhoodRegistrar:
         T = np.array(best.T_target_source)
         T[0, 3] += self.shift_m
         share = min(1.0, 1.2 * best.num_inliers / max(1, self._size))
-        return Match(T, self.dim * share, np.zeros(len(scan), np.float32), best.num_inliers)
+        return Match(
+            T, self.dim * share, np.full(len(scan), self.doubt, np.float32), best.num_inliers
+        )
 
     def _align(
         self, scan: NDArray[np.float64], keyframe: NDArray[np.float64], turn_deg: float

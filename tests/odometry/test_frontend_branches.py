@@ -14,7 +14,13 @@ from tiny_world import lidar_rays, pose, scans, walk
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import ConfigError
 from hybridreg_ros.core.scan import Scan
-from hybridreg_ros.odometry.config import GateConfig, KeyframeConfig, LostConfig, OdometryConfig
+from hybridreg_ros.odometry.config import (
+    FallbackConfig,
+    GateConfig,
+    KeyframeConfig,
+    LostConfig,
+    OdometryConfig,
+)
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.result import OdometryResult, Reason, Source
 
@@ -61,6 +67,34 @@ def test_switch_has_hysteresis_and_no_jump() -> None:
     assert worst_error_m(results, poses) < 0.02
     steps = np.diff([r.pose[:3, 3] for r in results], axis=0)
     np.testing.assert_allclose(np.linalg.norm(steps, axis=1), 0.08, atol=0.02)
+
+
+def test_a_mask_that_leaves_nothing_is_no_evidence_against_a_pose() -> None:
+    poses = walk(8)
+    registrar = NeighbourhoodRegistrar()
+    registrar.dim, registrar.doubt = 0.1, 1.0
+    odometry = HybridOdometry(ASKING, model=registrar)
+    results = [odometry.step(scan) for scan in scans(poses, RAYS)]
+    assert registrar.matches > 0
+    assert {r.source for r in results[1:]} == {Source.KISS_ICP}
+    assert min(r.confidence for r in results) > 0.9
+    assert worst_error_m(results, poses) < 0.02
+
+
+def test_a_loosely_held_view_becomes_no_keyframe() -> None:
+    config = OdometryConfig(
+        keyframe=KeyframeConfig(max_age_s=0.1),  # every second scan would be one
+        fallback=FallbackConfig(accept=0.0),
+    )
+    odometry = HybridOdometry(config, model=None)
+    views = list(scans(walk(8, step_m=0.06), lidar_rays(720, 48)))
+    x, y, z = views[4].points.T
+    bare = views[4].points[(np.abs(np.arctan2(y, x)) < np.deg2rad(10.0)) & (z > -0.9)]
+    views[4] = Scan(bare, stamp=views[4].stamp, frame_id=views[4].frame_id)
+    results = [odometry.step(scan) for scan in views]
+    assert results[4].source is Source.KISS_ICP
+    assert 0.0 < results[4].confidence < 0.5
+    assert [k for k, r in enumerate(results) if r.is_keyframe] == [0, 2, 5, 7]
 
 
 def test_covariance_grows_on_the_fallback() -> None:

@@ -34,6 +34,7 @@ class Cloud:
         reported_s: instant at which the pose is wanted, seconds after the scan's stamp.
         twist: (6,) velocity by which it was deskewed, sensor frame.
         times: (N,) seconds of each point after `instant_s`; None when it was not deskewed.
+        icp_share: share of the registered points that counts as independent, (0, 1].
     """
 
     points: NDArray[np.float32]
@@ -48,6 +49,7 @@ class Cloud:
     reported_s: float
     twist: NDArray[np.float64]
     times: NDArray[np.float64] | None
+    icp_share: float = 1.0
 
     @property
     def map_points(self) -> NDArray[np.float32]:

@@ -77,8 +77,8 @@ class PreprocessConfig(Section):
         1.5, 'edge of the thinning cubes for registration, in voxels', low=0.5, high=8.0
     )
     icp_enough: int = option(
-        2500, 'where these cubes would leave fewer points, they are made finer, down to those of '
-        'the map', low=0, high=100_000,
+        0, 'where these cubes would leave fewer points, they are made finer, down to those of '
+        'the map; 0 = by sensor (depth 4500, lidar 2500)', low=0, high=100_000,
     )  # fmt: skip
     icp_points: int = option(
         5000, 'most points that are registered; more are thinned by taking every k-th',

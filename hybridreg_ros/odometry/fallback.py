@@ -10,7 +10,8 @@ import numpy as np
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.odometry.kiss import KissRegistration
-from hybridreg_ros.odometry.refine import assess, pull_in, refine
+from hybridreg_ros.odometry.refine import assess, pull_in
+from hybridreg_ros.odometry.settle import settle
 from hybridreg_ros.odometry.thinning import first_per_voxel
 
 if TYPE_CHECKING:
@@ -88,10 +89,7 @@ class Fallback:
         some = some[:: max(1, -(-len(some) // section.max_points))]
         pose = self._kiss.align(some, guess)
         if section.polish:
-            times = cloud.icp_times
-            return refine(
-                points, pose, self._map, self._config.refine, weights, basin, times, prior
-            )
+            return settle(cloud, pose, self._map, self._config.refine, weights, basin, prior)
         return assess(points, pose, self._map, self._config.refine, weights)
 
     def locate(

@@ -16,8 +16,8 @@ from hybridreg_ros.odometry import calibration, covariance
 from hybridreg_ros.odometry.confidence import Evidence, Gate, judge, weakness
 from hybridreg_ros.odometry.fallback import Fallback
 from hybridreg_ros.odometry.located import Candidate, Located, located_by_kiss
-from hybridreg_ros.odometry.refine import Fit, refine
 from hybridreg_ros.odometry.result import Reason, Source
+from hybridreg_ros.odometry.settle import settle
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.localmap import LocalMap
     from hybridreg_ros.odometry.motion import Expected
     from hybridreg_ros.odometry.preprocess import SensorModel
+    from hybridreg_ros.odometry.refine import Fit
     from hybridreg_ros.odometry.stopwatch import Watch
     from hybridreg_ros.odometry.visibility import Sightings
 
@@ -194,16 +195,8 @@ class Locator:
         prior = self._prior
         if prior is not None and np.abs(prior.off(proposal.T_odom_sensor)).max() > _FAR:
             prior = None  # an opinion of its own, not to be drawn to the expected pose
-        fit = refine(
-            cloud.icp_points,
-            proposal.T_odom_sensor,
-            self._map,
-            self._config.refine,
-            weights,
-            'middle',
-            cloud.icp_times,
-            prior,
-        )
+        start, settings = proposal.T_odom_sensor, self._config.refine
+        fit = settle(cloud, start, self._map, settings, weights, 'middle', prior)
         candidate = check(fit)
         if candidate.verdict.fault is not None:
             return candidate.verdict.fault

@@ -24,6 +24,10 @@ _LONGEST_SCAN_S = 1.0
 _NOISE_RANGE_SQ = 2.0
 """Squared range, m^2, up to which the pose rather than the noise of a depth camera limits what a
 point tells: 3 mm against 1.5 mm per squared metre."""
+_ENOUGH = {'depth': 4500, 'lidar': 2500}
+"""Points wanted for a registration; finer cubes of a lidar would hold more of the same rings."""
+_INDEPENDENT = 2500
+"""Of more points than this, found by finer cubes, the further ones repeat what the others say."""
 _DEFAULT_RANGES_M = {'depth': (0.2, 8.0), 'lidar': (0.5, 100.0)}
 
 
@@ -99,29 +103,37 @@ def preprocess(
     if member is not usable:
         cube = voxel_of(points, size, usable, table, slots)
     means, counts = means_of(points, cube, len(map_rows))
-    icp_rows = map_rows[_for_registration(points[map_rows], sensor.voxel_size_m, config)]
+    found, share = _for_registration(points[map_rows], sensor, config)
+    icp_rows = map_rows[found]
     if len(icp_rows) > config.icp_points:
         icp_rows = icp_rows[:: -(-len(icp_rows) // config.icp_points)]
     times = scan.times - instant_s if deskewed and scan.times is not None else None
     return Cloud(
         points, usable, map_rows, icp_rows, means, counts, cube, deskewed, instant_s, reported_s,
-        twist, times,
+        twist, times, share,
     )  # fmt: skip
 
 
 def _for_registration(
-    points: NDArray[np.float32], voxel_m: float, config: PreprocessConfig
-) -> NDArray[np.int64]:
+    points: NDArray[np.float32], sensor: SensorModel, config: PreprocessConfig
+) -> tuple[NDArray[np.int64], float]:
     """Rows of the points (M, 3) that are registered: one per cube, a finer one where few fill it.
 
     Near a wall a depth camera fills few cubes, and just there little holds its pose.
+
+    Returns:
+        The rows, and the share of them that counts as independent: neighbours in a depth image
+        err alike, so more of them make the pose better, but not by as much as they seem to.
     """
-    size = config.icp_thinning * voxel_m
+    size = config.icp_thinning * sensor.voxel_size_m
     rows = first_per_voxel(points, size)
-    if 0 < len(rows) < config.icp_enough:
-        finer = size * np.sqrt(len(rows) / config.icp_enough)  # points lie on surfaces
-        rows = first_per_voxel(points, max(finer, config.map_thinning * voxel_m))
-    return rows
+    enough = config.icp_enough or _ENOUGH[sensor.kind]
+    if not 0 < len(rows) < enough:
+        return rows, 1.0
+    independent = max(len(rows), _INDEPENDENT)
+    finer = size * np.sqrt(len(rows) / enough)  # points lie on surfaces
+    rows = first_per_voxel(points, max(finer, config.map_thinning * sensor.voxel_size_m))
+    return rows, min(1.0, independent / len(rows))
 
 
 def _every_kth(member: NDArray[np.bool_], most: int) -> NDArray[np.bool_]:

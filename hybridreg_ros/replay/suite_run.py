@@ -161,6 +161,8 @@ def _view(frame: SuiteFrame, result: OdometryResult, threshold: float) -> list[l
 
     The class is 1 for a point called moving plus 2 for one that truly moves.
     """
+    if len(frame.scan) == 0:  # the view is covered
+        return []
     rows = np.arange(0, len(frame.scan), max(1, len(frame.scan) // _VIEW_POINTS))
     x, y, z = frame.scan.points[rows].astype(np.float64).T
     forward_z = float(np.median(z)) > float(np.median(np.hypot(x, y)))

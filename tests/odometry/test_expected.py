@@ -87,7 +87,7 @@ def test_few_cubes_are_made_finer_for_the_registration() -> None:
     points = cast(WALL, pose(1.2, 0.0, 0.0), depth_rays(320, 240))[0]
     config = OdometryConfig(voxel_size_m=0.06)
     sensor = recognise_sensor(points, config)
-    coarse = OdometryConfig(preprocess=type(config.preprocess)(icp_enough=0)).preprocess
+    coarse = OdometryConfig(preprocess=type(config.preprocess)(icp_enough=1)).preprocess
     scan = Scan(points, stamp=1.0, frame_id='s')
     few = len(preprocess(scan, sensor, coarse, np.zeros(6)).icp_rows)
     cloud = preprocess(scan, sensor, config.preprocess, np.zeros(6))

@@ -131,11 +131,11 @@ class DynamicsConfig(Section):
     tolerance: float = option(
         0.0,
         'slack in range before a point is off a seen surface, in voxels; 0 = by sensor (depth '
-        '0.3, lidar 0.5)',
+        '0.4, lidar 0.5)',
         low=0.0, high=10.0,
     )  # fmt: skip
     tolerance_share: float = option(
-        0.0, 'further slack as a share of the range; 0 = by sensor (depth 0.01, lidar 0.015)',
+        0.0, 'further slack as a share of the range; 0 = by sensor (depth 0.0125, lidar 0.015)',
         low=0.0, high=0.5,
     )  # fmt: skip
     decay: float = option(0.8, 'share of the evidence that survives a frame', low=0.0, high=1.0)

@@ -33,7 +33,7 @@ _SURE = 0.95
 """P(dynamic) of a cell that stands in space seen free."""
 _FORGOTTEN = 1e-3
 """Remembered P(dynamic) below this is 0; fading on, it would become denormal, and slow."""
-_TOLERANCE = {'depth': (0.3, 0.01), 'lidar': (0.5, 0.015)}
+_TOLERANCE = {'depth': (0.4, 0.0125), 'lidar': (0.5, 0.015)}
 """Slack in voxels and as a share of the range; a sparse lidar says less about slanted surfaces."""
 
 

@@ -85,9 +85,14 @@ class Cloud:
 
     def reported(self, pose: NDArray[np.float64], sway: Sway | None = None) -> NDArray[np.float64]:
         """Pose (4, 4) at the instant that is asked for, from that of the points."""
-        ahead = self.reported_s - self.instant_s
-        even: NDArray[np.float64] = pose if sway is None else pose @ sway.at(ahead)
-        return even @ se3.exp(self.twist * ahead)
+        return self.pose_at(self.reported_s - self.instant_s, pose, sway)
+
+    def pose_at(
+        self, second: float, pose: NDArray[np.float64], sway: Sway | None = None
+    ) -> NDArray[np.float64]:
+        """Pose (4, 4) so many seconds after the instant of the points, from that of the points."""
+        even: NDArray[np.float64] = pose if sway is None else pose @ sway.at(second)
+        return even @ se3.exp(self.twist * second)
 
     def moved_by(self, twist: NDArray[np.float64]) -> Cloud:
         """A cloud that was taken to stand still, deskewed by a velocity (6,) known since."""

@@ -136,14 +136,14 @@ class RefineConfig(Section):
     )
     sway_iterations: int = option(6, 'most pairings for that', low=1, high=50)
     sway_speed: float = option(
-        0.2, 'standard deviation of the velocity off the predicted one, m/s', low=1e-3, high=100.0
+        0.12, 'standard deviation of the velocity off the predicted one, m/s', low=1e-3, high=100.0
     )
     sway_turn_deg: float = option(
         3.0, 'the same of the angular velocity, degrees/s, before it is known how that varies',
         low=1e-2, high=1000.0,
     )  # fmt: skip
     sway_follow: float = option(
-        0.6, 'the same once that is known, as a share of its usual change from scan to scan; 0 = '
+        0.35, 'the same once that is known, as a share of its usual change from scan to scan; 0 = '
         'always as above',
         low=0.0, high=10.0,
     )  # fmt: skip

@@ -4,10 +4,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from hybridreg_ros.odometry.result import LOST_VARIANCE
+
+if TYPE_CHECKING:
+    from hybridreg_ros.odometry.refine import Fit
 
 F64 = NDArray[np.float64]
 
@@ -45,13 +50,30 @@ def of_pose(information: F64, factor: float) -> F64:
     return 0.5 * (capped + capped.T)
 
 
-def weakest_m(information: F64) -> float:
+def of_fit(fit: Fit, ahead_s: float, factor: float) -> F64:
+    """Covariance (6, 6), odom axes, of the pose that is reported of a registered scan.
+
+    Args:
+        fit: the scan in the map.
+        ahead_s: from the instant of the fit to the one reported, seconds.
+        factor: scale of the covariance.
+    """
+    covariance = of_pose(fit.information, factor)
+    if fit.sway is None or ahead_s == 0.0:
+        return covariance
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = turn[3:, 3:] = fit.T_odom_sensor[:3, :3]
+    carried: F64 = covariance + factor * turn @ fit.sway.spread_at(ahead_s) @ turn.T
+    return carried
+
+
+def weakest_m(covariance: F64) -> float:
     """Standard deviation, metres, of the position along the direction held worst.
 
     Args:
-        information: (6, 6), 1/m^2 and 1/rad^2.
+        covariance: (6, 6) of a pose.
     """
-    return float(np.sqrt(np.linalg.eigvalsh(of_pose(information, 1.0)[:3, :3])[-1]))
+    return float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
 
 
 def coasting(covariance: F64, factor: float, floor_m: float) -> F64:

@@ -5,13 +5,17 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import NS_PER_S
+
+if TYPE_CHECKING:
+    from hybridreg_ros.odometry.trail import Start
 
 F64 = NDArray[np.float64]
 
@@ -21,6 +25,10 @@ _FIRST_SPREAD = np.array([0.5, np.deg2rad(10.0)])
 """Standard deviation of a prediction about which nothing is known yet, metres and rad per axis."""
 _MEDIAN_NORM = 0.888
 """Median length of a normal vector in three dimensions over the root of three."""
+_MEDIAN_ABS = 0.6745
+"""Median size of a normal variable."""
+_LEAST_SHARE = 0.3
+"""The angular velocity varies about each axis at least by this share of its mean over all."""
 _LEAST_SPREAD = np.array([0.01, np.deg2rad(0.1)])
 
 
@@ -33,15 +41,17 @@ class Expected:
         shift_m: standard deviation of its position along each axis, metres.
         turn_rad: standard deviation of its turn about each axis, rad.
         seconds: time since the last pose.
-        turn_rate: standard deviation about each axis of how the angular velocity has changed from
-            scan to scan of late, rad/s; 0 = not known.
+        turn_rate: (3,) standard deviation about each axis, sensor frame, of how the angular
+            velocity has changed from scan to scan of late, rad/s; 0 = not known.
+        start: where the scan begins, as the end of the last one says; None = not known.
     """
 
     pose: F64
     shift_m: float
     turn_rad: float
     seconds: float
-    turn_rate: float = 0.0
+    turn_rate: F64 = field(default_factory=lambda: np.zeros(3))
+    start: Start | None = None
 
     def off(self, pose: F64) -> F64:
         """How far a pose (4, 4) is from it: (6,) shift and turn in standard deviations."""
@@ -61,7 +71,11 @@ class Expected:
 
     def widened(self, shift: float, turn: float) -> Expected:
         """The same pose with its spread times two factors."""
-        return replace(self, shift_m=shift * self.shift_m, turn_rad=turn * self.turn_rad)
+        start = self.start
+        if start is not None:
+            start = replace(start, shift_m=shift * start.shift_m, turn_rad=turn * start.turn_rad)
+        shift_m, turn_rad = shift * self.shift_m, turn * self.turn_rad
+        return replace(self, shift_m=shift_m, turn_rad=turn_rad, start=start)
 
 
 class Motion:
@@ -84,6 +98,7 @@ class Motion:
         self.last_step_s = 0.0
         self._sure = self.pose, stamp
         self._errors: deque[F64] = deque(maxlen=_KEPT)
+        self._turns: deque[F64] = deque(maxlen=_KEPT)
 
     def predict(self, stamp: int) -> F64:
         """Pose (4, 4) at a stamp (ns) if the velocity stays as it is."""
@@ -95,11 +110,12 @@ class Motion:
 
         An unknown acceleration moves the pose by the square of the time since the last sure one.
         """
-        spread, turn_rate = _FIRST_SPREAD, 0.0
+        spread, turn_rate = _FIRST_SPREAD, np.zeros(3)
         if len(self._errors) >= _ENOUGH and self.last_step_s > 0.0:
             spread = np.maximum(np.sqrt(np.mean(np.square(self._errors), axis=0)), _LEAST_SPREAD)
             usual = float(np.median([turn for _, turn in self._errors])) / _MEDIAN_NORM
-            turn_rate = usual / self.last_step_s
+            about = np.median(np.abs(self._turns), axis=0) / _MEDIAN_ABS
+            turn_rate = np.maximum(about, _LEAST_SHARE * usual) / self.last_step_s
             steps = (stamp - self._sure[1]) / (NS_PER_S * self.last_step_s)
             spread = spread * max(1.0, 0.5 * steps * (steps + 1.0))
         shift_m, turn_rad = float(spread[0]), float(spread[1])
@@ -116,8 +132,9 @@ class Motion:
         if dt > 0.0:
             if self.last_step_s > 0.0 and before == self.stamp:
                 off = se3.inverse(self.predict(stamp)) @ pose
-                turn = float(np.linalg.norm(se3.so3_log(off[:3, :3])))
-                error = np.array([float(np.linalg.norm(off[:3, 3])), turn]) / np.sqrt(3.0)
+                turn = se3.so3_log(off[:3, :3])
+                error = np.array([np.linalg.norm(off[:3, 3]), np.linalg.norm(turn)]) / np.sqrt(3.0)
+                self._turns.append(turn)
                 self._errors.append(error)
             self.twist = se3.log(se3.inverse(since) @ pose) / dt
             self.last_step_s = dt

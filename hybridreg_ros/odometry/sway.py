@@ -5,7 +5,7 @@
 # ruff: noqa: D417, PLR0913, PLR0917 (kernels take plain arrays)
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numba
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     F64 = NDArray[np.float64]
 
-_TURNING = (np.deg2rad(0.7), np.deg2rad(10.0))
+_TURNING = (np.deg2rad(0.4), np.deg2rad(18.0))
 """Limits of the standard deviation of the angular velocity within a scan, rad/s."""
 
 _jit = numba.njit(cache=True, nogil=True)
@@ -38,14 +38,23 @@ class Sway:
     Attributes:
         rate: (6,) m/s and rad/s.
         bend: (6,) m/s^2 and rad/s^2.
+        covariance: (12, 12) of rate and bend, of the inverse information; zero when known.
     """
 
     rate: F64
     bend: F64
+    covariance: F64 = field(default_factory=lambda: np.zeros((12, 12)))
 
     def at(self, seconds: float) -> F64:
         """(4, 4) what carries a point measured so long after the instant to the instant."""
         return se3.exp(self.rate * seconds + self.bend * seconds**2)
+
+    def spread_at(self, seconds: float) -> F64:
+        """(6, 6) covariance, sensor frame, of `at` for what is not known of the motion."""
+        powers = np.array([seconds, seconds**2])
+        blocks = self.covariance.reshape(2, 6, 2, 6)
+        spread: F64 = np.einsum('a,aibj,b->ij', powers, blocks, powers)
+        return spread
 
     def undo(self, points: NDArray[Any], times: F64) -> NDArray[Any]:
         """Points (N, 3) measured at times (N,) after the instant, as seen at the instant."""
@@ -89,19 +98,26 @@ def update(
         weight, pull = prior.pull(T_odom_sensor)  # alike along all axes, so turning keeps it
         H[np.arange(6), np.arange(6)] += weight
         b[:6] += turn.T @ pull
-    turning = np.deg2rad(config.sway_turn_deg)
-    if prior is not None and prior.turn_rate > 0.0 and config.sway_follow > 0.0:
+    turning = np.full(3, np.deg2rad(config.sway_turn_deg))
+    if prior is not None and prior.turn_rate.any() and config.sway_follow > 0.0:
         turning = np.clip(config.sway_follow * prior.turn_rate, *_TURNING)
-    spread = np.array([config.sway_speed] * 3 + [turning] * 3)
+    spread = np.concatenate([np.full(3, config.sway_speed), turning])
     for order, known in ((1, sway.rate), (2, sway.bend)):
         weight = (half_span_s ** (order - 1) / spread) ** 2
         rows = np.arange(6 * order, 6 * order + 6)
         H[rows, rows] += weight
         b[rows] += weight * known
+    if prior is not None and prior.start is not None:
+        information, gradient = prior.start.pull(T_odom_sensor, sway)
+        H += information
+        b += gradient
     step = solve(H, b)
     T = T_odom_sensor @ se3.transform(se3.so3_exp(step[3:6]), step[:3])
     moved = float(np.abs(step[6:12] / spread).max())
-    return T, Sway(sway.rate + step[6:12], sway.bend + step[12:]), moved
+    unit = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-12))
+    scaled = H * np.outer(unit, unit) + 1e-9 * np.eye(18)
+    spread = (np.linalg.inv(scaled) * np.outer(unit, unit))[6:, 6:]
+    return T, Sway(sway.rate + step[6:12], sway.bend + step[12:], spread), moved
 
 
 def solve(H: F64, b: F64) -> F64:

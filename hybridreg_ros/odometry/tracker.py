@@ -21,6 +21,7 @@ from hybridreg_ros.odometry.located import Located
 from hybridreg_ros.odometry.locator import Locator
 from hybridreg_ros.odometry.preprocess import certainty
 from hybridreg_ros.odometry.result import Reason, Source
+from hybridreg_ros.odometry.trail import Trail
 from hybridreg_ros.odometry.visibility import Sightings
 
 if TYPE_CHECKING:
@@ -87,6 +88,7 @@ class Tracker:
         self._bad_frames = 0
         self._lost_scans = 0
         self._opening: tuple[Cloud, int] | None = None
+        self._trail = Trail()
 
     def step(self, cloud: Cloud, stamp: int, watch: Watch) -> Estimate:
         """Locate a cloud, update the pose chain, the map and the keyframes.
@@ -103,7 +105,7 @@ class Tracker:
             self._learned.begin(cloud.map_points)
         if len(self._map) == 0:
             return self._begin(cloud, stamp, Reason.FIRST_SCAN)
-        expected = self._motion.expect(stamp)
+        expected = self._trail.expect(self._motion.expect(stamp), cloud, stamp)
         trust = self._dynamics.trust(cloud.icp_points, predicted := expected.pose)
         if self.lost:
             found = self._locator.relocate(cloud, self._motion.pose)
@@ -162,7 +164,7 @@ class Tracker:
     def _restart(self, cloud: Cloud, pose: F64, stamp: int) -> None:
         """Let the map, the past and the newest keyframe be those of one cloud."""
         self._forget_scene()
-        self._motion.stop(stamp, pose)
+        self._stop(stamp, pose)
         keyframe = self._keyframes.mend(pose, cloud.map_points)
         if self._learned is not None:
             self._learned.forget(keyframe)
@@ -174,21 +176,26 @@ class Tracker:
         """Write a good pose to the chain, the map and, when due, the keyframes."""
         pose, was_lost = found.fit.T_odom_sensor, self.lost
         sway, reported = found.fit.sway, None
+        entered = cloud
         if sway is not None:
             cloud, reported = cloud.straightened(sway), cloud.reported(pose, sway)
         if was_lost:
-            self._motion.stop(stamp, pose)
+            self._stop(stamp, pose)
         else:
             self._locator.learn(predicted, pose)
-            sure = found.confidence >= self._config.gate.enter
-            (self._motion.advance if sure else self._motion.hold)(pose, stamp)
+            if found.confidence >= self._config.gate.enter:
+                self._motion.advance(pose, stamp)
+                self._trail.leave(entered, pose, sway, stamp)
+            else:
+                self._hold(pose, stamp)
         self.lost, self._bad_frames, self._lost_scans = False, 0, 0
         self.source = found.source
         section = self._config.covariance
         factor = section.scale or calibration.packaged().covariance_scale[self.sensor.kind]
         if found.source is Source.KISS_ICP:
             factor *= section.fallback_factor
-        self.covariance = covariance.of_pose(found.fit.information, factor)
+        ahead_s = cloud.reported_s - cloud.instant_s
+        self.covariance = covariance.of_fit(found.fit, ahead_s, factor)
         image = self._sightings.draw(cloud, pose)
         dynamic = self._dynamics.update(cloud, pose, self._map, found.uncertainty)
         watch.lap('dynamics')
@@ -208,7 +215,7 @@ class Tracker:
         After a loss the way between the old map and the new one is not known: the pose of that
         one step carries the covariance of LOST and the confidence 0.
         """
-        self._motion.stop(stamp)
+        self._stop(stamp)
         pose = self._motion.pose
         self.lost, self._bad_frames, self._lost_scans = False, 0, 0
         self.source = Source.KISS_ICP if self._learned is None else Source.HYBRIDREG
@@ -225,14 +232,24 @@ class Tracker:
         self.lost = self.lost or self._bad_frames >= self._config.lost.after_bad_frames
         dynamic = nothing(cloud)
         if self.lost:
-            self._motion.stop(stamp)
+            self._stop(stamp)
             self.source, self.covariance = Source.LOST, covariance.lost()
         else:
-            self._motion.hold(self._motion.predict(stamp), stamp)
+            self._hold(self._motion.predict(stamp), stamp)
             self.covariance = covariance.coasting(
                 self.covariance, self._config.covariance.coast_factor, self.sensor.voxel_size_m
             )
         return self._estimate(self._motion.pose, reason, 0.0, dynamic, is_keyframe=False)
+
+    def _stop(self, stamp: int, pose: F64 | None = None) -> None:
+        """Stand still from now on, at a pose or at the last one."""
+        self._motion.stop(stamp, pose)
+        self._trail.forget()
+
+    def _hold(self, pose: F64, stamp: int) -> None:
+        """Take a pose that says nothing about the motion."""
+        self._motion.hold(pose, stamp)
+        self._trail.end()
 
     def _add_keyframe(self, cloud: Cloud, pose: F64, stamp: int) -> None:
         keyframe = self._keyframes.add(pose, stamp, cloud.map_points)

@@ -81,6 +81,7 @@ def _streets() -> tuple[Sequence, ...]:
 def _development() -> tuple[Sequence, ...]:
     rooms = ((501, 'none'), (502, '30-50'), (505, '10-30'), (507, '30-50'))
     streets = ((504, '10-30'), (506, 'none'))
+    rough = ((6035, 'none'), (6047, 'none'), (6078, 'none'), (6202, '10-30'), (6205, '30-50'))
     narrow = ((502, '30-50', 80), (911, '30-50', 200))
     long_rooms = (902, 911, 923, 931, 933, 936)
     few_rings = ((823, '30-50'), (827, '30-50'), (840, 'none'))
@@ -91,7 +92,10 @@ def _development() -> tuple[Sequence, ...]:
             replace(_simulated(f'dev-narrow-{seed}', 'dev', frames, share, seed), window=0.15)
             for seed, share, frames in narrow
         ),
-        *(_simulated(f'dev-street-{seed}', 'dev', 40, share, seed) for seed, share in streets),
+        *(
+            _simulated(f'dev-street-{seed}', 'dev', 40, share, seed)
+            for seed, share in streets + rough
+        ),
         *(_simulated(f'dev-street-{seed}', 'dev', 24, share, seed) for seed, share in few_rings),
     )
 

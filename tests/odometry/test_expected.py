@@ -43,11 +43,23 @@ def test_spread_follows_the_errors_of_predictions_and_grows_while_coasting() -> 
     usual = motion.expect(30 * FRAME)
     assert usual.turn_rad < 0.2 * unknown.turn_rad
     assert 0.007 < usual.turn_rad < 0.03  # differences of two draws: 0.014
-    assert 0.07 < usual.turn_rate < 0.3
+    assert np.all((usual.turn_rate > 0.04) & (usual.turn_rate < 0.4))
     motion.hold(motion.predict(30 * FRAME), 30 * FRAME)
     assert motion.expect(31 * FRAME).turn_rad == pytest.approx(3.0 * usual.turn_rad)
     motion.stop(31 * FRAME)
     assert motion.expect(32 * FRAME).turn_rad == unknown.turn_rad
+
+
+def test_spread_of_the_turning_is_told_axis_by_axis() -> None:
+    motion, T = Motion(stamp=0), np.eye(4)
+    for k in range(1, 30):  # nods to and fro, hardly rolls
+        nod = 0.02 * (-1.0) ** k
+        T = T @ se3.exp(np.array([0.1, 0.0, 0.0, 0.002 * (k % 3), nod, 0.001]))
+        motion.advance(T, k * FRAME)
+    rolls, nods, turns = motion.expect(30 * FRAME).turn_rate
+    assert nods == pytest.approx(0.04 / 0.1 / 0.6745, rel=0.1)
+    assert rolls < 0.5 * nods
+    assert turns == rolls, 'the least share of the mean'
 
 
 def wall_map(noise_m: float) -> tuple[LocalMap, np.ndarray, np.ndarray]:

@@ -1,0 +1,131 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Trail: a scan of a spinning lidar begins where the one before it ended."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybridreg_ros.core import se3
+from hybridreg_ros.core.scan import NS_PER_S
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hybridreg_ros.odometry.cloud import Cloud
+    from hybridreg_ros.odometry.motion import Expected
+    from hybridreg_ros.odometry.sway import Sway
+
+    F64 = NDArray[np.float64]
+
+_SPREAD = np.array([0.01, np.deg2rad(0.2)])
+"""Standard deviation of the end of a scan, metres and rad per axis."""
+_AT_FIRST, _EASED = 8.0, 0.7
+"""Factor on that for the first trail, and its decay from trail to trail: the map of the first
+scans is bent by what was not known of their motion, and a pose must not jump by it."""
+_GAP_S = 0.15
+"""After a longer pause the end of the last scan says no more than the prediction does."""
+_STEP_S = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Where a scan begins, as far as the end of the last one says.
+
+    Attributes:
+        second: of its first point, after the instant of its cloud.
+        pose: (4, 4) there with the motion that its deskew undid left out, so that it compares with
+            the pose of the cloud and its sway.
+        shift_m: standard deviation of its position along each axis, metres.
+        turn_rad: standard deviation of its turn about each axis, rad.
+    """
+
+    second: float
+    pose: F64
+    shift_m: float
+    turn_rad: float
+
+    def pull(self, T_odom_sensor: F64, sway: Sway) -> tuple[F64, F64]:
+        """What it adds to the Gauss-Newton system of a pose (4, 4) and its sway, sensor frame.
+
+        Returns:
+            (18, 18) information of pose, rate and bend, and (18,) gradient.
+        """
+        off = se3.log(se3.inverse(self.pose) @ T_odom_sensor @ sway.at(self.second))
+        weight = np.repeat([self.shift_m**-2, self.turn_rad**-2], 3)
+        powers = self.second ** np.arange(3)
+        information = np.einsum('a,b,ij->aibj', powers, powers, np.diag(weight)).reshape(18, 18)
+        return information, np.outer(powers, weight * off).ravel()
+
+
+class Trail:
+    """Where the last scan ended."""
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Nothing is known of how the last scan ended."""
+        self._factor = _AT_FIRST / 0.5
+        self.end()
+
+    def end(self) -> None:
+        """The last scan is in doubt or was not registered, so it leaves no trail."""
+        self._end: tuple[F64, F64, int] | None = None
+
+    def expect(self, expected: Expected, cloud: Cloud, stamp: int) -> Expected:
+        """What is expected of a scan, with where it begins when the last one ended shortly before.
+
+        Without that, a motion that is the same in every scan (a nod at the same azimuth, back at
+        once when the next scan begins) bends scans and map alike and is seen by no registration.
+
+        Args:
+            expected: pose of the cloud by constant velocity.
+            cloud: the preprocessed scan.
+            stamp: instant of the cloud, ns.
+        """
+        told = self._begin(cloud, stamp)
+        if told is None or cloud.times is None or self._end is None:
+            return expected
+        second = float(cloud.times.min())
+        pose = told @ se3.exp(-cloud.twist * second)
+        grown = ((stamp - self._end[2]) / NS_PER_S + second) / max(expected.seconds, _STEP_S)
+        shift_m, turn_rad = self._factor * _SPREAD
+        start = Start(
+            second, pose,
+            float(shift_m + grown**2 * expected.shift_m),
+            float(turn_rad + grown**2 * expected.turn_rad),
+        )  # fmt: skip
+        return replace(expected, start=start)
+
+    def leave(self, cloud: Cloud, T_odom_sensor: F64, sway: Sway | None, stamp: int) -> None:
+        """Take the end of a scan that was registered.
+
+        Args:
+            cloud: the preprocessed scan.
+            T_odom_sensor: (4, 4) its pose.
+            sway: motion during it that its deskew did not undo, or None.
+            stamp: instant of the cloud, ns.
+        """
+        if cloud.times is None:
+            return
+        last = float(cloud.times.max())
+        self._factor = max(1.0, _EASED * self._factor)
+        pose = cloud.pose_at(last, T_odom_sensor, sway)
+        earlier = cloud.pose_at(last - _STEP_S, T_odom_sensor, sway)
+        twist = se3.log(se3.inverse(earlier) @ pose) / _STEP_S
+        self._end = pose, twist, stamp + round(last * NS_PER_S)
+
+    def _begin(self, cloud: Cloud, stamp: int) -> F64 | None:
+        """Pose (4, 4) at the first point of a scan; None when the last one ended long before."""
+        if self._end is None or cloud.times is None:
+            return None
+        pose, twist, end = self._end
+        gap_s = (stamp - end) / NS_PER_S + float(cloud.times.min())
+        if abs(gap_s) > _GAP_S:
+            return None
+        begin: F64 = pose @ se3.exp(twist * gap_s)
+        return begin

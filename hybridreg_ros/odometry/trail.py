@@ -26,7 +26,7 @@ _SPREAD = np.array([0.01, np.deg2rad(0.2)])
 _AT_FIRST, _EASED = 8.0, 0.7
 """Factor on that for the first trail, and its decay from trail to trail: the map of the first
 scans is bent by what was not known of their motion, and a pose must not jump by it."""
-_GAP_S = 0.15
+_GAP_S = 0.05
 """After a longer pause the end of the last scan says no more than the prediction does."""
 _STEP_S = 0.01
 

@@ -98,7 +98,6 @@ class Motion:
         self.last_step_s = 0.0
         self._sure = self.pose, stamp
         self._errors: deque[F64] = deque(maxlen=_KEPT)
-        self._turns: deque[F64] = deque(maxlen=_KEPT)
 
     def predict(self, stamp: int) -> F64:
         """Pose (4, 4) at a stamp (ns) if the velocity stays as it is."""
@@ -112,9 +111,11 @@ class Motion:
         """
         spread, turn_rate = _FIRST_SPREAD, np.zeros(3)
         if len(self._errors) >= _ENOUGH and self.last_step_s > 0.0:
-            spread = np.maximum(np.sqrt(np.mean(np.square(self._errors), axis=0)), _LEAST_SPREAD)
-            usual = float(np.median([turn for _, turn in self._errors])) / _MEDIAN_NORM
-            about = np.median(np.abs(self._turns), axis=0) / _MEDIAN_ABS
+            errors = np.array(self._errors).reshape(-1, 2, 3)
+            sizes = np.linalg.norm(errors, axis=2) / np.sqrt(3.0)
+            spread = np.maximum(np.sqrt(np.mean(np.square(sizes), axis=0)), _LEAST_SPREAD)
+            usual = float(np.median(sizes[:, 1])) / _MEDIAN_NORM
+            about = np.median(np.abs(errors[:, 1]), axis=0) / _MEDIAN_ABS
             turn_rate = np.maximum(about, _LEAST_SHARE * usual) / self.last_step_s
             steps = (stamp - self._sure[1]) / (NS_PER_S * self.last_step_s)
             spread = spread * max(1.0, 0.5 * steps * (steps + 1.0))
@@ -132,10 +133,7 @@ class Motion:
         if dt > 0.0:
             if self.last_step_s > 0.0 and before == self.stamp:
                 off = se3.inverse(self.predict(stamp)) @ pose
-                turn = se3.so3_log(off[:3, :3])
-                error = np.array([np.linalg.norm(off[:3, 3]), np.linalg.norm(turn)]) / np.sqrt(3.0)
-                self._turns.append(turn)
-                self._errors.append(error)
+                self._errors.append(np.concatenate([off[:3, 3], se3.so3_log(off[:3, :3])]))
             self.twist = se3.log(se3.inverse(since) @ pose) / dt
             self.last_step_s = dt
         self.pose, self.stamp = pose, stamp

@@ -5,7 +5,7 @@
 # ruff: noqa: D417, PLR0913, PLR0917 (kernels take plain arrays)
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numba
@@ -38,12 +38,12 @@ class Sway:
     Attributes:
         rate: (6,) m/s and rad/s.
         bend: (6,) m/s^2 and rad/s^2.
-        covariance: (12, 12) of rate and bend, of the inverse information; zero when known.
+        information: (18, 18) of pose, rate and bend, sensor frame; None = it is known.
     """
 
     rate: F64
     bend: F64
-    covariance: F64 = field(default_factory=lambda: np.zeros((12, 12)))
+    information: F64 | None = None
 
     def at(self, seconds: float) -> F64:
         """(4, 4) what carries a point measured so long after the instant to the instant."""
@@ -51,8 +51,12 @@ class Sway:
 
     def spread_at(self, seconds: float) -> F64:
         """(6, 6) covariance, sensor frame, of `at` for what is not known of the motion."""
+        if self.information is None:
+            return np.zeros((6, 6))
+        unit = 1.0 / np.sqrt(np.maximum(np.diag(self.information), 1e-12))
+        scaled = self.information * np.outer(unit, unit) + 1e-9 * np.eye(18)
+        blocks = (np.linalg.inv(scaled) * np.outer(unit, unit))[6:, 6:].reshape(2, 6, 2, 6)
         powers = np.array([seconds, seconds**2])
-        blocks = self.covariance.reshape(2, 6, 2, 6)
         spread: F64 = np.einsum('a,aibj,b->ij', powers, blocks, powers)
         return spread
 
@@ -114,10 +118,7 @@ def update(
     step = solve(H, b)
     T = T_odom_sensor @ se3.transform(se3.so3_exp(step[3:6]), step[:3])
     moved = float(np.abs(step[6:12] / spread).max())
-    unit = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-12))
-    scaled = H * np.outer(unit, unit) + 1e-9 * np.eye(18)
-    spread = (np.linalg.inv(scaled) * np.outer(unit, unit))[6:, 6:]
-    return T, Sway(sway.rate + step[6:12], sway.bend + step[12:], spread), moved
+    return T, Sway(sway.rate + step[6:12], sway.bend + step[12:], H), moved
 
 
 def solve(H: F64, b: F64) -> F64:

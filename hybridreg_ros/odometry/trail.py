@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 _SPREAD = np.array([0.01, np.deg2rad(0.2)])
 """Standard deviation of the end of a scan, metres and rad per axis."""
-_AT_FIRST, _EASED = 8.0, 0.7
-"""Factor on that for the first trail, and its decay from trail to trail: the map of the first
+_AT_FIRST, _EASED = 16.0, 0.7
+"""Factor on that before the first trail, and its decay with every trail: the map of the first
 scans is bent by what was not known of their motion, and a pose must not jump by it."""
 _GAP_S = 0.05
 """After a longer pause the end of the last scan says no more than the prediction does."""
@@ -69,7 +69,7 @@ class Trail:
 
     def forget(self) -> None:
         """Nothing is known of how the last scan ended."""
-        self._factor = _AT_FIRST / 0.5
+        self._factor = _AT_FIRST
         self.end()
 
     def end(self) -> None:
@@ -77,7 +77,7 @@ class Trail:
         self._end: tuple[F64, F64, int] | None = None
 
     def expect(self, expected: Expected, cloud: Cloud, stamp: int) -> Expected:
-        """What is expected of a scan, with where it begins when the last one ended shortly before.
+        """What is expected of a scan, with its start when the last one ended shortly before.
 
         Without that, a motion that is the same in every scan (a nod at the same azimuth, back at
         once when the next scan begins) bends scans and map alike and is seen by no registration.
@@ -87,12 +87,15 @@ class Trail:
             cloud: the preprocessed scan.
             stamp: instant of the cloud, ns.
         """
-        told = self._begin(cloud, stamp)
-        if told is None or cloud.times is None or self._end is None:
+        if self._end is None or cloud.times is None:
             return expected
+        end, twist, ended = self._end
         second = float(cloud.times.min())
-        pose = told @ se3.exp(-cloud.twist * second)
-        grown = ((stamp - self._end[2]) / NS_PER_S + second) / max(expected.seconds, _STEP_S)
+        gap_s = (stamp - ended) / NS_PER_S + second
+        if abs(gap_s) > _GAP_S:
+            return expected
+        pose = end @ se3.exp(twist * gap_s) @ se3.exp(-cloud.twist * second)
+        grown = gap_s / max(expected.seconds, _STEP_S)
         shift_m, turn_rad = self._factor * _SPREAD
         start = Start(
             second, pose,
@@ -118,14 +121,3 @@ class Trail:
         earlier = cloud.pose_at(last - _STEP_S, T_odom_sensor, sway)
         twist = se3.log(se3.inverse(earlier) @ pose) / _STEP_S
         self._end = pose, twist, stamp + round(last * NS_PER_S)
-
-    def _begin(self, cloud: Cloud, stamp: int) -> F64 | None:
-        """Pose (4, 4) at the first point of a scan; None when the last one ended long before."""
-        if self._end is None or cloud.times is None:
-            return None
-        pose, twist, end = self._end
-        gap_s = (stamp - end) / NS_PER_S + float(cloud.times.min())
-        if abs(gap_s) > _GAP_S:
-            return None
-        begin: F64 = pose @ se3.exp(twist * gap_s)
-        return begin

@@ -43,7 +43,7 @@ def test_spread_follows_the_errors_of_predictions_and_grows_while_coasting() -> 
     usual = motion.expect(30 * FRAME)
     assert usual.turn_rad < 0.2 * unknown.turn_rad
     assert 0.007 < usual.turn_rad < 0.03  # differences of two draws: 0.014
-    assert np.all((usual.turn_rate > 0.04) & (usual.turn_rate < 0.4))
+    assert np.all((usual.turn_rate > 0.07) & (usual.turn_rate < 0.3))
     motion.hold(motion.predict(30 * FRAME), 30 * FRAME)
     assert motion.expect(31 * FRAME).turn_rad == pytest.approx(3.0 * usual.turn_rad)
     motion.stop(31 * FRAME)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -23,23 +24,26 @@ from hybridreg_ros.odometry.refine import refine
 from hybridreg_ros.odometry.sway import NO_SWAY, Sway
 from hybridreg_ros.odometry.trail import Start, Trail
 
+if TYPE_CHECKING:
+    from hybridreg_ros.odometry.cloud import Cloud
+
 EXPECTED = Expected(HERE, 0.05, 0.02, 0.1)
 TWIST = np.array([2.0, 0.1, 0.0, 0.05, 0.3, -0.2])
 MIDDLE = 0.05
 
 
-def clouds(twist: np.ndarray = TWIST, count: int = 2) -> list:
-    """Scans of 0.1 s, one after the other, of a sensor that moves evenly, deskewed."""
+def clouds() -> list[Cloud]:
+    """Two scans of 0.1 s, one after the other, of a sensor that moves evenly, deskewed."""
     points = cast(ROOM, HERE, lidar_rays(240, 30), seed=1)[0]
     config = OdometryConfig()
     sensor = recognise_sensor(points, config)
-    scans = [Scan(points, times=TIMES, stamp=1.0 + 0.1 * k, frame_id='s') for k in range(count)]
-    return [preprocess(scan, sensor, config.preprocess, twist) for scan in scans]
+    scans = [Scan(points, times=TIMES, stamp=1.0 + 0.1 * k, frame_id='s') for k in range(2)]
+    return [preprocess(scan, sensor, config.preprocess, TWIST) for scan in scans]
 
 
-def stamp_of(cloud: object, k: int) -> int:
+def stamp_of(cloud: Cloud, k: int) -> int:
     """Instant of the k-th cloud, ns."""
-    return NS_PER_S + k * NS_PER_S // 10 + round(cloud.instant_s * NS_PER_S)  # type: ignore[attr-defined]
+    return NS_PER_S + k * NS_PER_S // 10 + round(cloud.instant_s * NS_PER_S)
 
 
 def followed(count: int, k: int = 1, late_s: float = 0.0) -> Expected:

@@ -9,9 +9,10 @@ import sys
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from hybridreg_ros.cli import fits
 from hybridreg_ros.cli.common import bar, odometry_config, write_result
-from hybridreg_ros.core.errors import ConfigError, DependencyError, FileFormatError, WeightsError
-from hybridreg_ros.replay import suite_data, suite_fit, suite_plots, suite_run, suite_table
+from hybridreg_ros.core.errors import ConfigError, DependencyError, FileFormatError
+from hybridreg_ros.replay import suite_data, suite_plots, suite_run, suite_table
 from hybridreg_ros.replay.interrupt import StopRequest
 from hybridreg_ros.replay.outputs import write_json
 from hybridreg_ros.replay.suite_list import METHODS, STRIDES, chosen
@@ -45,7 +46,9 @@ def run(args: argparse.Namespace) -> int:
         )
     sequences = chosen(args.suite, args.sequences, args.frames)
     if args.fit is not None:
-        return _fit(args, sequences)
+        return fits.evidence(args, sequences)
+    if args.fit_confidence is not None:
+        return fits.confidence(args, sequences)
     code = 0
     if not args.table_only:
         code = _run_all(args, sequences, methods, tuple(args.strides or STRIDES))
@@ -71,57 +74,6 @@ def _plots(cells: list[dict[str, Any]], folder: Path) -> str:
     return f'and {len(written)} plots'
 
 
-def _gather(
-    args: argparse.Namespace,
-    sequence: Sequence,
-    strides: tuple[int, ...],
-    config: OdometryConfig,
-    tick: Callable[[], Any],
-) -> list[suite_fit.Evidences]:
-    """What a sequence gives to a fit; kept in the folder `fit` while code and settings stay.
-
-    Each stride gives a run with predictions that are off, and half of it one as in use.
-    """
-    parts, frames = [], None
-    mark = suite_run.fingerprint('ours-no-network', config, None)
-    del mark['calibration']  # every pose is gathered, whatever its confidence
-    runs = [(stride, True) for stride in strides]
-    runs += [(max(1, stride // 2), False) for stride in strides]
-    for stride, jolted in runs:
-        name = f'{sequence.name}__{stride}{"" if jolted else "__plain"}.json'
-        path = args.out / 'fit' / name
-        kept = json.loads(path.read_text('utf-8')) if path.is_file() else {}
-        if kept.get('fingerprint') != mark or kept.get('frames') != sequence.frames:
-            frames = frames or suite_data.load(sequence, args.data, args.out / 'cache')
-            part = suite_fit.gather(sequence, frames, stride, config, jolted)
-            kept = {'fingerprint': mark, 'frames': sequence.frames, **part.to_dict()}
-            write_json(path, kept)
-        parts.append(suite_fit.Evidences.from_dict(kept))
-        tick()
-    return parts
-
-
-def _fit(args: argparse.Namespace, sequences: list[Sequence]) -> int:
-    """Fit confidence and covariance and write them."""
-    if args.suite != 'dev':
-        raise ConfigError('--fit needs --suite dev: what is scored must not be fitted on')
-    config = odometry_config(args.config, args.registrar)
-    strides = tuple(args.strides or STRIDES)
-    parts = []
-    with bar(2 * len(sequences) * len(strides), 'fit', 'run') as shown:
-        for sequence in sequences:
-            parts += _gather(args, sequence, strides, config, shown.update)
-    found, quality = suite_fit.fit(parts)
-    write_json(args.fit, found.to_dict())
-    print(
-        json.dumps({**found.to_dict()['confidence'], 'covariance_scale': found.covariance_scale})
-    )
-    print(json.dumps(quality))
-    print(f'written: {args.fit}')
-    write_result(args, found.to_dict())
-    return 0
-
-
 def _run_all(
     args: argparse.Namespace,
     sequences: list[Sequence],
@@ -129,7 +81,7 @@ def _run_all(
     strides: tuple[int, ...],
 ) -> int:
     config = odometry_config(args.config, args.registrar)
-    weights = _weights(args.weights)
+    weights = fits.weights_of(args)
     prints = {m: suite_run.fingerprint(m, config, weights) for m in methods}
     with (
         StopRequest() as stop,
@@ -212,16 +164,3 @@ def _made(
         and cell['sequence']['frames'] == sequence.frames
         and cell['sequence']['seed'] == sequence.seed
     )
-
-
-def _weights(given: Path | None) -> Path | None:
-    """The checkpoint that will be used: the one given, or the packaged one when it ships."""
-    if given is not None:
-        return given
-    from hybridreg_ros.model.checkpoint import packaged_weights
-
-    try:
-        return packaged_weights()
-    except WeightsError as error:
-        print(f'hybridreg: no network: {error}', file=sys.stderr)
-        return None

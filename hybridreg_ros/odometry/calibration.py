@@ -18,8 +18,33 @@ if TYPE_CHECKING:
 
 PACKAGED = Path(__file__).parent / 'calibration.json'
 KINDS = ('depth', 'lidar')
-FEATURES = ('consistent', 'before', 'weakness')
-"""Fields of `confidence.Evidence` that the logistic model reads."""
+_LARGEST_SCORE = 500.0
+EVIDENCE = ('consistent', 'before', 'weakness')
+"""Attributes of `confidence.Evidence` by which poses are judged."""
+CLAIM = ('evident', 'unmatched', 'scatter', 'surprise', 'rival')
+"""Attributes of `claim.Claim` from which the confidence follows that is reported."""
+
+
+@dataclass(frozen=True)
+class Logistic:
+    """A logistic model of P(pose right).
+
+    Attributes:
+        bias: scalar.
+        weights: by name of the attribute.
+    """
+
+    bias: float
+    weights: Mapping[str, float]
+
+    def probability(self, of: object) -> float:
+        """P(pose right), [0, 1], of something that has the attributes."""
+        score = self.bias + sum(w * getattr(of, name) for name, w in self.weights.items())
+        return 1.0 / (1.0 + math.exp(-min(max(score, -_LARGEST_SCORE), _LARGEST_SCORE)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {'bias': self.bias, 'weights': dict(self.weights)}
 
 
 @dataclass(frozen=True)
@@ -27,15 +52,15 @@ class Calibration:
     """What was fitted on the development suite.
 
     Attributes:
-        bias: of the logistic model of P(pose right).
-        weights: one per feature of FEATURES.
+        evidence: by which a pose is judged and chosen; attributes EVIDENCE.
+        confidence: that is reported of the pose chosen; attributes CLAIM.
         covariance_scale: by kind of sensor (depth, lidar), the factor on the inverse information
             that makes step errors consistent.
-        provenance: how it was fitted.
+        provenance: how each of them was fitted.
     """
 
-    bias: float
-    weights: Mapping[str, float]
+    evidence: Logistic
+    confidence: Logistic
     covariance_scale: Mapping[str, float]
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
@@ -45,17 +70,19 @@ class Calibration:
         Raises:
             ConfigError: a feature is missing or unknown, or a value is not finite.
         """
-        if set(self.weights) != set(FEATURES):
-            raise ConfigError(
-                f'calibration: expected weights of {", ".join(FEATURES)}, found '
-                f'{", ".join(self.weights)}'
-            )
+        values = list(self.covariance_scale.values())
+        for model, names in ((self.evidence, EVIDENCE), (self.confidence, CLAIM)):
+            if set(model.weights) != set(names):
+                raise ConfigError(
+                    f'calibration: expected weights of {", ".join(names)}, found '
+                    f'{", ".join(model.weights)}'
+                )
+            values += [model.bias, *model.weights.values()]
         if set(self.covariance_scale) != set(KINDS):
             raise ConfigError(
                 f'calibration: expected covariance scales of {", ".join(KINDS)}, found '
                 f'{", ".join(self.covariance_scale)}'
             )
-        values = [self.bias, *self.weights.values(), *self.covariance_scale.values()]
         if not all(math.isfinite(v) for v in values) or min(self.covariance_scale.values()) <= 0.0:
             raise ConfigError(
                 'calibration: expected finite numbers and positive covariance scales'
@@ -64,7 +91,8 @@ class Calibration:
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
         return {
-            'confidence': {'bias': self.bias, 'weights': dict(self.weights)},
+            'evidence': self.evidence.to_dict(),
+            'confidence': self.confidence.to_dict(),
             'covariance_scale': dict(self.covariance_scale),
             'provenance': dict(self.provenance),
         }
@@ -79,8 +107,8 @@ def read(path: Path) -> Calibration:
     try:
         values = json.loads(path.read_text('utf-8'))
         return Calibration(
-            float(values['confidence']['bias']),
-            {str(k): float(v) for k, v in values['confidence']['weights'].items()},
+            _logistic(values['evidence']),
+            _logistic(values['confidence']),
             {str(k): float(v) for k, v in values['covariance_scale'].items()},
             values.get('provenance', {}),
         )
@@ -88,6 +116,11 @@ def read(path: Path) -> Calibration:
         if isinstance(error, ConfigError):
             raise
         raise ConfigError(f'cannot read the calibration {path}: {error}') from None
+
+
+def _logistic(values: Mapping[str, Any]) -> Logistic:
+    weights = {str(k): float(v) for k, v in values['weights'].items()}
+    return Logistic(float(values['bias']), weights)
 
 
 @cache

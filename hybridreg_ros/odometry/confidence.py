@@ -75,9 +75,7 @@ def of_evidence(evidence: Evidence) -> float:
     with the share that stands in space seen free and where the surfaces found leave a direction
     loose. The weights come from `calibration.json`.
     """
-    model = calibration.packaged()
-    score = model.bias + sum(w * getattr(evidence, name) for name, w in model.weights.items())
-    return float(1.0 / (1.0 + np.exp(-score)))
+    return calibration.packaged().evidence.probability(evidence)
 
 
 def judge(

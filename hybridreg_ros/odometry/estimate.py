@@ -12,6 +12,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from hybridreg_ros.odometry.claim import Claim
     from hybridreg_ros.odometry.cloud import Cloud
     from hybridreg_ros.odometry.result import Reason, Source
 
@@ -23,7 +24,7 @@ class Estimate:
     """What the tracker says about one cloud; fields as in OdometryResult.
 
     `reported` is the pose at the instant that is asked for, None where only the velocity between
-    scans leads there.
+    scans leads there; `claim` is what the confidence follows from, None where it is 0.
     """
 
     pose: F64
@@ -35,6 +36,7 @@ class Estimate:
     keyframe_id: int
     is_keyframe: bool
     reported: F64 | None = None
+    claim: Claim | None = None
 
 
 def nothing(cloud: Cloud) -> NDArray[np.float32]:

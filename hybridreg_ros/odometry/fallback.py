@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     F64 = NDArray[np.float64]
 
 _GUESS_POINTS = 400
+_NEAREST = 0.2
+"""Partners are looked for at least so far away (standard deviation, in voxels): stored points
+keep a distance from each other."""
 
 
 class Fallback:
@@ -69,6 +72,7 @@ class Fallback:
         weights: NDArray[np.floating] | None = None,
         basin: Basin = 'fine',
         prior: Expected | None = None,
+        near: bool = False,
     ) -> Fit:
         """Pose of a cloud near a guess.
 
@@ -78,6 +82,7 @@ class Fallback:
             weights: (K,) trust per registered point, or None.
             basin: level on which the refinement starts.
             prior: what the motion so far says, or None.
+            near: look for partners no farther than predictions have been off of late.
 
         Raises:
             RegistrationError: kiss-icp cannot register these points.
@@ -87,7 +92,10 @@ class Fallback:
         trusted = points if weights is None else points[weights > 0.5]
         some = trusted[first_per_voxel(trusted, section.thinning * self._voxel_m)]
         some = some[:: max(1, -(-len(some) // section.max_points))]
-        pose = self._kiss.align(some, guess)
+        reach_m = None
+        if near and prior is not None:
+            reach_m = max(prior.shift_m, _NEAREST * self._voxel_m)
+        pose = self._kiss.align(some, guess, reach_m)
         if section.polish:
             return settle(cloud, pose, self._map, self._config.refine, weights, basin, prior)
         return assess(points, pose, self._map, self._config.refine, weights)

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.core.scan import Scan
+    from hybridreg_ros.odometry.claim import Claim
     from hybridreg_ros.odometry.cloud import Cloud
     from hybridreg_ros.odometry.estimate import Estimate
     from hybridreg_ros.odometry.located import Candidate
@@ -45,6 +46,10 @@ class HybridOdometry:
         model: 'auto' loads the packaged weights when they ship; None = no network; or a Registrar
             such as HybridReg.
         motion: makes the motion model (a fit gives one whose predictions are off on purpose).
+
+    Attributes:
+        config: settings.
+        claim: what the confidence of the last scan follows from, None where it is 0 (for fitting).
 
     Raises:
         ConfigError: `model` is something else.
@@ -82,6 +87,7 @@ class HybridOdometry:
     def reset(self) -> None:
         """Forget pose, map and keyframes; the next usable scan defines the odom frame anew."""
         self._intake.reset()
+        self.claim: Claim | None = None
         self._motion = self._make_motion()
         self._tracker: Tracker | None = None
         self._keyframe_id = 0
@@ -93,7 +99,7 @@ class HybridOdometry:
         It never raises for what a sensor may send: odd stamps, empty or absurd clouds give a
         result that says so.
         """
-        watch = Watch()
+        watch, self.claim = Watch(), None
         fault = self._intake.check(scan)
         if fault is not None and not self._rebase(scan, fault):
             return self._refusal(scan, fault, watch)
@@ -172,7 +178,7 @@ class HybridOdometry:
     def _result(
         self, scan: Scan, cloud: Cloud, estimate: Estimate, fault: Reason | None, watch: Watch
     ) -> OdometryResult:
-        self._keyframe_id = estimate.keyframe_id
+        self._keyframe_id, self.claim = estimate.keyframe_id, estimate.claim
         return OdometryResult(
             scan=scan,
             pose=self._reported(estimate, cloud),

@@ -88,12 +88,14 @@ class KissRegistration:
         """Current standard deviation of the motion model's error, metres."""
         return float(self._threshold.get_threshold())
 
-    def align(self, points: NDArray[np.floating], guess: F64) -> F64:
+    def align(self, points: NDArray[np.floating], guess: F64, reach_m: float | None = None) -> F64:
         """Register points with the map.
 
         Args:
             points: (N, 3), sensor frame, metres, thinned.
             guess: (4, 4) T_odom_sensor to start from.
+            reach_m: standard deviation of its error when that is known to be smaller than the
+                adaptive threshold, metres.
 
         Returns:
             T_odom_sensor (4, 4).
@@ -112,6 +114,7 @@ class KissRegistration:
         sigma = self.threshold_m
         if not np.isfinite(sigma) or sigma <= 0.0:
             raise RegistrationError(f'kiss-icp: adaptive threshold is {sigma}')
+        sigma = sigma if reach_m is None else min(sigma, reach_m)
         pose = np.asarray(
             self._registration.align_points_to_map(usable, self._map, guess, 3.0 * sigma, sigma)
         )

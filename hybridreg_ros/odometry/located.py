@@ -7,11 +7,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from hybridreg_ros.odometry.claim import log_odds
 from hybridreg_ros.odometry.confidence import weakness
 from hybridreg_ros.odometry.result import Reason, Source
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from hybridreg_ros.odometry.confidence import Evidence, Verdict
@@ -20,6 +22,10 @@ if TYPE_CHECKING:
 
     F64 = NDArray[np.float64]
     F32 = NDArray[np.float32]
+
+AGAINST = 3.0
+"""Log odds that a pose loses per tenfold distance from the predicted one, beyond what is usual: as
+logistic models fitted to poses of development sequences have it (2.7 to 3.5)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,9 +37,10 @@ class Located:
         evidence: what speaks for it.
         source: the branch that made it.
         reason: why that branch.
-        confidence: P(pose right), [0, 1].
-        evident: the part of it that the evidence alone gives, [0, 1].
+        confidence: P(pose right) by the evidence and, of its poses, the network, [0, 1].
+        evident: by the evidence alone, [0, 1].
         uncertainty: (M,) float32 of the network per map point of the cloud, None without one.
+        surprise: how far it is off the predicted pose (`claim.surprise`).
     """
 
     fit: Fit
@@ -43,6 +50,12 @@ class Located:
     confidence: float
     evident: float
     uncertainty: F32 | None = None
+    surprise: float = 0.0
+
+    @property
+    def rank(self) -> float:
+        """By which the best of several is chosen (`rank`)."""
+        return rank(self.evident, self.surprise)
 
     def adds_to_map(self, gate: GateConfig, voxel_size_m: float) -> bool:
         """Whether the scan enters the map: not in doubt or held loosely where the map shows it."""
@@ -53,15 +66,50 @@ class Located:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A pose under judgement; `reported` is it (4, 4) at the instant that is asked for."""
+    """A pose under judgement.
+
+    Attributes:
+        fit: the pose in the map.
+        evidence: what speaks for it.
+        verdict: confidence by the evidence, and faults.
+        reported: (4, 4) it at the instant that is asked for.
+        surprise: how far it is off the predicted one (`claim.surprise`).
+    """
 
     fit: Fit
     evidence: Evidence
     verdict: Verdict
     reported: F64
+    surprise: float = 0.0
+
+    @property
+    def rank(self) -> float:
+        """By which the best of several is chosen (`rank`)."""
+        return rank(self.verdict.confidence, self.surprise)
+
+
+def rank(confidence: float, surprise: float) -> float:
+    """Order of the poses found for one scan: log odds by the evidence, less by distance.
+
+    Args:
+        confidence: by the evidence, [0, 1].
+        surprise: how far the pose is off the predicted one (`claim.surprise`); below 0 it does not
+            count, since then it is within what is usual.
+    """
+    return log_odds(confidence) - AGAINST * max(0.0, surprise) if confidence > 0.0 else -np.inf
 
 
 def located_by_kiss(found: Candidate, reason: Reason) -> Located:
     """A pose that kiss-icp made; its evidence is all that speaks for it."""
     confidence = found.verdict.confidence
-    return Located(found.fit, found.evidence, Source.KISS_ICP, reason, confidence, confidence)
+    return Located(
+        found.fit, found.evidence, Source.KISS_ICP, reason, confidence, confidence,
+        surprise=found.surprise,
+    )  # fmt: skip
+
+
+def better(one: Candidate | None, other: Candidate | None) -> Candidate | None:
+    """The one of higher rank; the first when they are equal."""
+    if one is None or other is None:
+        return one or other
+    return other if other.rank > one.rank else one

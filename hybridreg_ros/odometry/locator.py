@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.core.errors import RegistrationError
-from hybridreg_ros.odometry import covariance
-from hybridreg_ros.odometry.confidence import Evidence, Gate, judge, weakness
+from hybridreg_ros.odometry import claim, covariance
+from hybridreg_ros.odometry.confidence import Evidence, Gate, Verdict, judge, weakness
 from hybridreg_ros.odometry.fallback import Fallback
-from hybridreg_ros.odometry.located import Candidate, Located, located_by_kiss
+from hybridreg_ros.odometry.located import Candidate, Located, better, located_by_kiss, rank
 from hybridreg_ros.odometry.result import Reason, Source
 from hybridreg_ros.odometry.settle import settle
 
@@ -49,6 +49,9 @@ err alike over many): measured as what made poses amid scans consistent (NEES of
 _FAR = 3.0
 """A pose of the network farther off the expected one, in (widened) standard deviations, is refined
 without it."""
+_JUMP = 0.5
+"""A pose three times as far off the prediction as is usual, and out of reach, has jumped: it is
+taken only where that is more likely than not, all things considered."""
 _LEFT = 0.2
 """A mask of the network that leaves less of the trusted points says that it recognises nothing,
 not that all of them move: poses are judged without it."""
@@ -135,13 +138,18 @@ class Locator:
         watch.lap('refine')
         if isinstance(found, Reason):
             return self._by_fallback(cloud, guesses, trust, check, found, first)
-        if self._without_doubt(found.evident, found.evidence):
+        far = self._is_far(found.fit.T_odom_sensor)
+        if self._without_doubt(found.evident, found.evidence) and not far:
             return found
-        # The network is confident, but the scan stands badly there: ask for another opinion.
+        # The network is confident, but the scan stands badly there, or it has jumped: ask for
+        # another opinion.
         why = Reason.REFINEMENT_FAILED
         other = self._by_fallback(cloud, guesses, trust, check, why, first)
-        better = isinstance(other, Located) and other.evident > found.evident
-        return other if better else found
+        return other if isinstance(other, Located) and other.rank > found.rank else found
+
+    def claim_of(self, found: Located) -> claim.Claim:
+        """What is known of the pose that was found for the last scan, all ways considered."""
+        return claim.of(found, self.judged, self._voxel_m)
 
     def relocate(self, cloud: Cloud, last: F64) -> Located | Reason:
         """Pose of a scan when the last pose says little: by the fallback, then by keyframes.
@@ -177,12 +185,21 @@ class Locator:
     def _followed(
         self, cloud: Cloud, predicted: F64, trust: F32, check: Callable[[Fit], Candidate]
     ) -> Candidate | None:
-        """Fallback from the prediction, or None when it cannot register."""
-        try:
-            return check(self._fallback.follow(cloud, predicted, trust, prior=self._prior))
-        except RegistrationError as error:
-            _log.debug('fallback: %s', error)
-            return None
+        """Fallback from the prediction, or None when it cannot register.
+
+        kiss-icp widens its search with the errors of all predictions so far, and then finds the
+        next shelf as well. So a pose far off the prediction must be better than what is found
+        close to it.
+        """
+        follow = partial(self._fallback.follow, cloud, predicted, trust, prior=self._prior)
+        wide = _tried(follow, check)
+        if wide is None or not self._is_far(wide.fit.T_odom_sensor):
+            return wide
+        return better(wide, _tried(partial(follow, near=True), check))
+
+    def _is_far(self, pose: F64) -> bool:
+        """Whether a pose (4, 4) is far off the expected one for what predictions have been."""
+        return self._prior is not None and bool(np.abs(self._prior.off(pose)).max() > _FAR)
 
     def _by_network(
         self,
@@ -195,9 +212,8 @@ class Locator:
         if proposal is None or not self._gate.passes(proposal.confidence):
             return Reason.LOW_CONFIDENCE
         weights = trust * (1.0 - proposal.uncertainty[cloud.icp_in_map])
-        prior = self._prior
-        if prior is not None and np.abs(prior.off(proposal.T_odom_sensor)).max() > _FAR:
-            prior = None  # an opinion of its own, not to be drawn to the expected pose
+        # One far off is an opinion of its own, not to be drawn to the expected pose.
+        prior = None if self._is_far(proposal.T_odom_sensor) else self._prior
         start, settings = proposal.T_odom_sensor, self._config.refine
         fit = settle(cloud, start, self._map, settings, weights, 'middle', prior)
         candidate = check(fit)
@@ -213,6 +229,7 @@ class Locator:
             min(proposal.confidence, candidate.verdict.confidence),
             candidate.verdict.confidence,
             proposal.uncertainty,
+            candidate.surprise,
         )
 
     def _by_fallback(
@@ -226,26 +243,15 @@ class Locator:
     ) -> Located | Reason:
         """Fallback from the guesses; while in doubt, other ways and turned guesses. Best wins.
 
-        `first` is the outcome of the first attempt when that was made already.
+        `first` is the outcome of following the prediction when that was tried already.
         """
         section = self._config.fallback
-        best = first
-        for tried, attempt in enumerate(self._attempts(cloud, guesses, trust)):
-            if tried == 0 and first is not None:
-                continue
-            try:
-                found = check(attempt())
-            except RegistrationError as error:
-                _log.debug('fallback: %s', error)
-                continue
-            if best is None or found.verdict.confidence > best.verdict.confidence:
-                best = found
-            if tried == 0:
-                enough = self._without_doubt(best.verdict.confidence, best.evidence)
-            else:
-                enough = best.verdict.confidence >= section.good
-            if enough:
-                break
+        best = first or self._followed(cloud, guesses[0], trust, check)
+        if best is None or not self._without_doubt(best.verdict.confidence, best.evidence):
+            for way in self._other_ways(cloud, guesses, trust):
+                best = better(best, _tried(way, check))
+                if best is not None and best.verdict.confidence >= section.good:
+                    break
         if best is None:
             return Reason.REFINEMENT_FAILED
         if best.verdict.fault is not None:
@@ -254,12 +260,11 @@ class Locator:
             return Reason.LOW_CONFIDENCE
         return located_by_kiss(best, reason)
 
-    def _attempts(
+    def _other_ways(
         self, cloud: Cloud, guesses: Sequence[F64], trust: F32
     ) -> Iterator[Callable[[], Fit]]:
-        """Ways to register without a network, the cheapest first."""
+        """Ways to register without a network where following the prediction leaves doubt."""
         fallback, prior = self._fallback, self._prior
-        yield partial(fallback.follow, cloud, guesses[0], trust, prior=prior)
         yield partial(fallback.locate, cloud, guesses, trust, prior)
         for guess in fallback.search(cloud, guesses[0]):
             yield partial(fallback.locate, cloud, [guess], trust)
@@ -277,6 +282,19 @@ class Locator:
             evidence, fit.T_odom_sensor, predicted, dt_s, self._voxel_m, self._config.gate
         )
         reported = cloud.reported(fit.T_odom_sensor, fit.sway)
-        candidate = Candidate(fit, evidence, verdict, reported)
+        off = claim.surprise(fit.T_odom_sensor, expected, self._voxel_m)
+        if expected is not None and off > _JUMP and expected.is_out_of_reach(fit.T_odom_sensor):
+            unlikely = verdict.fault is None and rank(verdict.confidence, off) < 0.0
+            verdict = Verdict(0.0, Reason.DISAGREES_WITH_MOTION) if unlikely else verdict
+        candidate = Candidate(fit, evidence, verdict, reported, off)
         self.judged.append(candidate)
         return candidate
+
+
+def _tried(way: Callable[[], Fit], check: Callable[[Fit], Candidate]) -> Candidate | None:
+    """Outcome of one way to register, judged; None when it cannot."""
+    try:
+        return check(way())
+    except RegistrationError as error:
+        _log.debug('fallback: %s', error)
+        return None

@@ -29,6 +29,8 @@ _MEDIAN_ABS = 0.6745
 """Median size of a normal variable."""
 _LEAST_SHARE = 0.3
 """The angular velocity varies about each axis at least by this share of its mean over all."""
+_HARDEST = np.array([20.0, 20.0])
+"""Largest acceleration of a sensor in use, m/s^2 and rad/s^2: hands, legs and cars stay below."""
 _LEAST_SPREAD = np.array([0.01, np.deg2rad(0.1)])
 
 
@@ -44,6 +46,7 @@ class Expected:
         turn_rate: (3,) standard deviation about each axis, sensor frame, of how the angular
             velocity has changed from scan to scan of late, rad/s; 0 = not known.
         start: where the scan begins, as the end of the last one says; None = not known.
+        known: whether there has been a motion; else the sensor is taken to stand.
     """
 
     pose: F64
@@ -52,12 +55,21 @@ class Expected:
     seconds: float
     turn_rate: F64 = field(default_factory=lambda: np.zeros(3))
     start: Start | None = None
+    known: bool = True
 
     def off(self, pose: F64) -> F64:
         """How far a pose (4, 4) is from it: (6,) shift and turn in standard deviations."""
         delta = se3.inverse(self.pose) @ pose
         turn = se3.so3_log(delta[:3, :3]) / self.turn_rad
         return np.concatenate([delta[:3, 3] / self.shift_m, turn])
+
+    def is_out_of_reach(self, pose: F64) -> bool:
+        """Whether no acceleration that sensors stand leads to a pose (4, 4) in the time passed."""
+        delta = se3.inverse(self.pose) @ pose
+        shift_m = float(np.linalg.norm(delta[:3, 3]))
+        turn_rad = float(np.linalg.norm(se3.so3_log(delta[:3, :3])))
+        reach_m, reach_rad = 0.5 * _HARDEST * max(self.seconds, 0.0) ** 2
+        return self.known and (shift_m > reach_m or turn_rad > reach_rad)
 
     def pull(self, pose: F64) -> tuple[F64, F64]:
         """What it adds to the Gauss-Newton system of a pose (4, 4), odom axes.
@@ -120,7 +132,10 @@ class Motion:
             steps = (stamp - self._sure[1]) / (NS_PER_S * self.last_step_s)
             spread = spread * max(1.0, 0.5 * steps * (steps + 1.0))
         shift_m, turn_rad = float(spread[0]), float(spread[1])
-        return Expected(self.predict(stamp), shift_m, turn_rad, self.seconds_to(stamp), turn_rate)
+        return Expected(
+            self.predict(stamp), shift_m, turn_rad, self.seconds_to(stamp), turn_rate,
+            known=self.last_step_s > 0.0,
+        )  # fmt: skip
 
     def seconds_to(self, stamp: int) -> float:
         """Seconds from the last pose to a stamp (ns); integer arithmetic, so nothing is lost."""

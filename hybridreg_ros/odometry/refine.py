@@ -12,6 +12,7 @@ import numpy as np
 from hybridreg_ros.core import se3
 from hybridreg_ros.odometry import align, sway
 from hybridreg_ros.odometry.maturity import by_age
+from hybridreg_ros.odometry.scatter import scatter
 from hybridreg_ros.odometry.surfaces import Surfaces
 from hybridreg_ros.odometry.sway import NO_SWAY, Sway
 
@@ -40,6 +41,8 @@ class Fit:
         overlap: share of the points with a surface of the map nearby, [0, 1].
         scale_m: robust standard deviation of the plane residuals, metres.
         converged: False when the iterations ended while the pose still moved.
+        scatter: (6, 6) covariance of the pose error by how much the parts of the scan disagree,
+            m^2 and rad^2, same axes (`scatter.scatter`).
         sway: motion during the scan that its deskew did not undo, when it was asked for.
     """
 
@@ -48,6 +51,7 @@ class Fit:
     overlap: float
     scale_m: float
     converged: bool
+    scatter: NDArray[np.float64]
     sway: Sway | None = None
 
 
@@ -192,6 +196,7 @@ def _assessed(
     planes = np.where(surfaces.kind == align.PLANE, trust, 0.0)
     scales = surfaces.scales(_by_range(points), config.min_scale * level.size_m, level.size_m)
     H, b, any_way = _system(points, planes, T_odom_sensor, surfaces, scales, level)
+    disagreement = scatter(points, planes, T_odom_sensor, surfaces, scales, H, level.size_m)
     H, _ = believed(H, b, any_way, config.loose)
     usable = trust > 0.5
     paired = usable & (surfaces.kind != align.NONE)
@@ -201,6 +206,7 @@ def _assessed(
         overlap=float(paired.sum() / max(1, usable.sum())),
         scale_m=scale,
         converged=converged,
+        scatter=disagreement,
     )
 
 
@@ -247,7 +253,8 @@ def believed(
     """
     if loose == 0.0:
         return H, b
-    unit = np.sqrt(np.maximum(np.diag(any_way), 1e-12))
+    # Pairs of points are in H alone: where there are hardly any planes they set the units.
+    unit = np.sqrt(np.maximum(np.maximum(np.diag(any_way), np.diag(H)), 1e-12))
     scaled = H / np.outer(unit, unit)
     noise = scaled + loose * (any_way / np.outer(unit, unit) - scaled) + 1e-9 * np.eye(6)
     part = np.linalg.solve(noise, np.column_stack([scaled, b / unit]))

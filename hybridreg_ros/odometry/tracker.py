@@ -206,8 +206,9 @@ class Tracker:
         self._write(cloud, pose, stamp, image, dynamic, is_keyframe, write)
         watch.lap('map')
         reason = Reason.RECOVERED if was_lost else found.reason
-        estimate = self._estimate(pose, reason, found.confidence, dynamic, is_keyframe)
-        return replace(estimate, reported=reported)
+        claim = self._locator.claim_of(found)
+        estimate = self._estimate(pose, reason, claim.confidence, dynamic, is_keyframe)
+        return replace(estimate, reported=reported, claim=claim)
 
     def _begin(self, cloud: Cloud, stamp: int, reason: Reason) -> Estimate:
         """Start a map at the last pose: the first scan, or a new start after a loss.

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from hybridreg_ros.metrics.calibration import (
     sigmoid,
 )
 from hybridreg_ros.metrics.trajectory import step_errors
-from hybridreg_ros.odometry.calibration import FEATURES, KINDS, Calibration
+from hybridreg_ros.odometry.calibration import EVIDENCE, KINDS, Calibration, Logistic, packaged
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.motion import Motion
 from hybridreg_ros.odometry.result import Reason, Source
@@ -63,13 +63,29 @@ class Jolted(Motion):
         return off
 
 
+class Labelled(Protocol):
+    """Features of poses of one sequence and whether each was right."""
+
+    @property
+    def sequence(self) -> str:
+        """Its name."""
+
+    @property
+    def features(self) -> F64:
+        """(P, F) features."""
+
+    @property
+    def right(self) -> NDArray[np.bool_]:
+        """(P,) whether each pose was right."""
+
+
 @dataclass(frozen=True, eq=False)
 class Evidences:
     """What one sequence at one stride gives to a fit.
 
     Attributes:
         sequence: its name.
-        features: (P, F) of the poses considered, in the order of FEATURES.
+        features: (P, F) of the poses considered, in the order of EVIDENCE.
         right: (P,) whether each was right.
         nees: (S,) normalised squared errors of right steps (6 degrees of freedom), for the
             covariance scale 1.
@@ -94,7 +110,7 @@ class Evidences:
         """The inverse of `to_dict`."""
         return Evidences(
             values['sequence'],
-            np.array(values['features'], np.float64).reshape(-1, len(FEATURES)),
+            np.array(values['features'], np.float64).reshape(-1, len(EVIDENCE)),
             np.array(values['right'], np.bool_),
             np.array(values['nees'], np.float64),
         )
@@ -140,13 +156,12 @@ def gather(
         if known:
             for candidate in _distinct(odometry.judged):
                 if candidate.evidence.overlap >= base.gate.min_overlap:
-                    features.append([getattr(candidate.evidence, name) for name in FEATURES])
+                    features.append([getattr(candidate.evidence, name) for name in EVIDENCE])
                     right.append(_right(known, (candidate.reported, truth), limits))
         if result.reason is Reason.RECOVERED and result.confidence == 0.0:
             known, last = [(result.pose, truth)], None  # a new map: the way to it is not known
             continue
-        good = not known or _right(known, (result.pose, truth), limits)
-        known = [(result.pose, truth) if good else known[0], (result.pose, truth)]
+        good, known = follow(known, (result.pose, truth), limits)
         if good and result.confidence > 0.0 and result.source is not Source.LOST:
             if last is not None:
                 nees.append(_nees(last, (result.pose, truth, result.covariance)))
@@ -154,7 +169,7 @@ def gather(
         else:
             last = None
     return Evidences(
-        sequence.name, np.array(features).reshape(-1, len(FEATURES)), np.array(right, np.bool_),
+        sequence.name, np.array(features).reshape(-1, len(EVIDENCE)), np.array(right, np.bool_),
         np.array(nees[1:]),
     )  # fmt: skip
 
@@ -170,6 +185,20 @@ def _distinct(candidates: list[Candidate]) -> list[Candidate]:
         ):
             kept.append(candidate)
     return kept
+
+
+def follow(
+    known: Many[tuple[F64, F64]], here: tuple[F64, F64], limits: tuple[float, float]
+) -> tuple[bool, list[tuple[F64, F64]]]:
+    """Whether a pose is right as a score counts it, and what the next one is compared with.
+
+    Args:
+        known: the last right pose and the last one, each (4, 4) with its truth (4, 4).
+        here: the pose and its truth.
+        limits: metres and degrees.
+    """
+    good = not known or _right(known, here, limits)
+    return good, [here if good else known[0], here]
 
 
 def _right(
@@ -195,7 +224,10 @@ def _nees(last: tuple[F64, F64, F64], here: tuple[F64, F64, F64]) -> float:
 
 
 def fit(parts: Many[Evidences]) -> tuple[Calibration, dict[str, Any]]:
-    """Calibration from all parts, and how good it is on parts left out one sequence at a time.
+    """Evidence and covariance from all parts; how good they are on sequences left out in turn.
+
+    The confidence that is reported follows from the evidence: fit it again afterwards
+    (`suite_claims`).
 
     Raises:
         HybridRegError: the poses considered were all right or all wrong.
@@ -217,11 +249,13 @@ def fit(parts: Many[Evidences]) -> tuple[Calibration, dict[str, Any]]:
         'steps': {kind: len(values) for kind, values in kinds.items()},
         'nees_mean_scaled': {k: float(np.mean(v) / scale[k] / 6.0) for k, v in kinds.items()},
     }
+    how = {'how': 'hybridreg replay --suite dev --fit', **quality, **collect().to_dict()}
+    kept = packaged()
     found = Calibration(
-        model.bias,
-        dict(zip(FEATURES, model.weights.tolist(), strict=True)),
+        Logistic(model.bias, dict(zip(EVIDENCE, model.weights.tolist(), strict=True))),
+        kept.confidence,
         scale,
-        {'how': 'hybridreg replay --suite dev --fit', **quality, **collect().to_dict()},
+        {**kept.provenance, 'evidence': how},
     )
     return found, quality
 
@@ -235,7 +269,20 @@ def _by_kind(parts: Many[Evidences]) -> dict[str, list[F64]]:
 
 def _left_out(parts: Many[Evidences]) -> float | None:
     """ECE of confidences, each from a fit that did not see the sequence of the pose."""
-    told, truth = [], []
+    told, truth, _ = left_out(parts)
+    if len(told) == 0:
+        return None
+    ece = expected_calibration_error(told, truth)
+    return None if math.isnan(ece) else ece
+
+
+def left_out(parts: Many[Labelled]) -> tuple[F64, NDArray[np.bool_], F64]:
+    """Confidences (P,), each from a fit that did not see the sequence of its pose.
+
+    Returns:
+        Them, (P,) truth, and (P, F) features in the same order.
+    """
+    told, truth, told_of = [], [], []
     for name in sorted({p.sequence for p in parts}):
         rest = [p for p in parts if p.sequence != name]
         outcomes = np.concatenate([p.right for p in rest]) if rest else np.zeros(0, np.bool_)
@@ -247,7 +294,7 @@ def _left_out(parts: Many[Evidences]) -> float | None:
             if part.sequence == name:
                 told.append(sigmoid(part.features @ model.weights + model.bias))
                 truth.append(part.right)
+                told_of.append(part.features)
     if not told:
-        return None
-    ece = expected_calibration_error(np.concatenate(told), np.concatenate(truth))
-    return None if math.isnan(ece) else ece
+        return np.zeros(0), np.zeros(0, np.bool_), np.zeros((0, parts[0].features.shape[1]))
+    return np.concatenate(told), np.concatenate(truth), np.concatenate(told_of)

@@ -83,11 +83,19 @@ def _development() -> tuple[Sequence, ...]:
     streets = ((504, '10-30'), (506, 'none'))
     rough = ((6035, 'none'), (6047, 'none'), (6078, 'none'), (6202, '10-30'), (6205, '30-50'))
     narrow = ((502, '30-50', 80), (911, '30-50', 200))
-    long_rooms = (902, 911, 923, 931, 933, 936)
+    long_rooms = {
+        'none': (946, 947, 951, 952, 953, 954),
+        '10-30': (930, 932, 935, 955, 956),
+        '30-50': (902, 911, 923, 931, 933, 936, 942, 944),
+    }
     few_rings = ((823, '30-50'), (827, '30-50'), (840, 'none'))
     return (
         *(_simulated(f'dev-room-{seed}', 'dev', 80, share, seed) for seed, share in rooms),
-        *(_simulated(f'dev-room-{seed}', 'dev', 200, '30-50', seed) for seed in long_rooms),
+        *(
+            _simulated(f'dev-room-{seed}', 'dev', 200, share, seed)
+            for share, seeds in long_rooms.items()
+            for seed in seeds
+        ),
         *(
             replace(_simulated(f'dev-narrow-{seed}', 'dev', frames, share, seed), window=0.15)
             for seed, share, frames in narrow

@@ -95,6 +95,18 @@ def test_noise_of_normals_is_not_taken_for_information() -> None:
     np.testing.assert_array_equal(believed(wall, b, any_way, 0.0)[0], wall)
 
 
+def test_few_pairs_of_points_and_no_plane_hold_a_pose_without_an_error() -> None:
+    rng = np.random.default_rng(5)
+    arm = rng.normal(0.0, 3.0, 3)  # one point alone: three of six directions are free
+    J = np.hstack([np.eye(3), -np.cross(np.eye(3), arm)])
+    for weight in (1e-3, 1.0, 1e9):
+        H, b = weight * J.T @ J, weight * J.T @ rng.normal(0.0, 0.01, 3)
+        held, pull = believed(H, b, np.zeros((6, 6)), 0.02)
+        assert np.isfinite(held).all()
+        assert np.isfinite(pull).all()
+        assert np.linalg.eigvalsh(held).max() > 0.0
+
+
 def test_few_cubes_are_made_finer_for_the_registration() -> None:
     points = cast(WALL, pose(1.2, 0.0, 0.0), depth_rays(320, 240))[0]
     config = OdometryConfig(voxel_size_m=0.06)
@@ -121,7 +133,7 @@ def test_few_cubes_are_made_finer_for_the_registration() -> None:
 def test_a_doubtful_or_loose_scan_is_written_only_where_the_map_is_empty(
     confidence: float, held_m: float, overlap: float, written: bool
 ) -> None:
-    fit = Fit(np.eye(4), np.eye(6), overlap, 0.01, True)
+    fit = Fit(np.eye(4), np.eye(6), overlap, 0.01, True, 1e-6 * np.eye(6))
     evidence = Evidence(overlap, 1.0, 0.9, weakness=weakness(held_m))
     found = Located(fit, evidence, Source.KISS_ICP, Reason.OK, confidence, confidence)
     assert found.adds_to_map(GateConfig(), 0.05) is written

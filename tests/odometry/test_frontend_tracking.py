@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from tiny_world import depth_rays, lidar_rays, pose, scans, walk
@@ -71,9 +73,9 @@ def test_kiss_icp_makes_every_pose_that_bears_its_name(monkeypatch: pytest.Monke
     asked = []
     align = KissRegistration.align
 
-    def counting(self: KissRegistration, points: np.ndarray, guess: np.ndarray) -> np.ndarray:
+    def counting(self: KissRegistration, points: np.ndarray, *how: Any) -> np.ndarray:
         asked.append(len(points))
-        return align(self, points, guess)
+        return align(self, points, *how)
 
     monkeypatch.setattr(KissRegistration, 'align', counting)
     odometry = HybridOdometry(OdometryConfig(registrar='kiss-icp'), model=None)
@@ -85,7 +87,7 @@ def test_kiss_icp_makes_every_pose_that_bears_its_name(monkeypatch: pytest.Monke
         assert asked
         assert min(asked) > 100
 
-    def refusing(self: KissRegistration, points: np.ndarray, guess: np.ndarray) -> np.ndarray:
+    def refusing(self: KissRegistration, points: np.ndarray, *how: Any) -> np.ndarray:
         raise RegistrationError('no')
 
     monkeypatch.setattr(KissRegistration, 'align', refusing)

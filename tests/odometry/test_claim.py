@@ -1,0 +1,142 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Claims: what is reported of a pose knows where else it could be; far poses must be better."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from tiny_world import Box, lidar_rays, pose, scans
+
+from hybridreg_ros.core import se3
+from hybridreg_ros.odometry import calibration
+from hybridreg_ros.odometry.claim import Claim, log_odds, rival, surprise
+from hybridreg_ros.odometry.confidence import Evidence, Verdict
+from hybridreg_ros.odometry.config import OdometryConfig
+from hybridreg_ros.odometry.fallback import Fallback
+from hybridreg_ros.odometry.frontend import HybridOdometry
+from hybridreg_ros.odometry.located import Candidate, rank
+from hybridreg_ros.odometry.motion import Expected, Motion
+from hybridreg_ros.odometry.refine import Fit
+
+PERIOD_M = 1.0
+AT = pose(2.0, -1.0, 30.0)
+
+
+def moved(x: float, degrees: float) -> np.ndarray:
+    """A step along the sensor's x and a turn."""
+    return pose(x, 0.0, degrees, z=0.0)
+
+
+def candidate(T: np.ndarray, confidence: float) -> Candidate:
+    fit = Fit(T, np.eye(6), 1.0, 0.01, True, 1e-6 * np.eye(6))
+    return Candidate(fit, Evidence(1.0, 1.0, 1.0), Verdict(confidence, None), T)
+
+
+def test_surprise_is_the_deviation_in_voxels_and_degrees_and_what_is_usual() -> None:
+    calm = Expected(AT, 0.0, 0.0, 0.1)
+    assert surprise(AT @ moved(0.3, 0.0), calm, 0.1) == pytest.approx(np.log10(3.1))
+    assert surprise(AT @ moved(0.0, 4.0), calm, 0.1) == pytest.approx(np.log10(4.1))
+    assert surprise(AT @ moved(0.3, 4.0), calm, 0.1) == pytest.approx(np.log10(5.1))
+    assert surprise(AT, calm, 0.1) == pytest.approx(-1.0)
+    jerky = Expected(AT, 0.2, float(np.deg2rad(3.0)), 0.1)
+    assert surprise(AT @ moved(0.3, 4.0), jerky, 0.1) == pytest.approx(np.log10(0.1 + 2.0**0.5))
+    assert surprise(AT @ moved(0.3, 4.0), replace(calm, known=False), 0.1) == 0.0
+    assert surprise(AT, None, 0.1) == 0.0
+
+
+def test_no_motion_is_known_before_the_second_pose() -> None:
+    motion = Motion()
+    assert not motion.expect(100).known
+    motion.stop(0)
+    motion.advance(pose(0.1, 0.0, 0.0), 100_000_000)
+    assert motion.expect(200_000_000).known
+    motion.stop(200_000_000)
+    assert not motion.expect(300_000_000).known
+
+
+def test_out_of_reach_is_what_no_acceleration_explains() -> None:
+    soon, later = (Expected(AT, 0.01, 0.01, seconds) for seconds in (0.1, 0.5))
+    assert soon.is_out_of_reach(AT @ moved(0.11, 0.0))
+    assert soon.is_out_of_reach(AT @ moved(0.0, 6.0))
+    assert not soon.is_out_of_reach(AT @ moved(0.09, 5.0))
+    assert not later.is_out_of_reach(AT @ moved(2.4, 100.0))
+    assert not replace(soon, known=False).is_out_of_reach(AT @ moved(9.0, 90.0))
+
+
+def test_a_rival_is_another_pose_as_plausible() -> None:
+    same, near = candidate(AT, 0.9), candidate(AT @ moved(0.05, 0.0), 0.8)
+    far, poor = candidate(AT @ moved(0.0, 3.0), 0.6), candidate(AT @ moved(1.0, 0.0), 0.1)
+    assert rival(AT, [], 0.1) == 0.0
+    assert rival(AT, [same], 0.1) == pytest.approx(0.0, abs=1e-6)
+    assert rival(AT, [same, near], 0.1) == pytest.approx(0.4)
+    assert rival(AT, [same, near, far, poor], 0.1) == pytest.approx(0.6)
+
+
+def test_far_poses_lose_to_near_ones_that_fit_almost_as_well() -> None:
+    assert rank(0.9, -1.0) == rank(0.9, 0.0) == pytest.approx(log_odds(0.9))
+    assert rank(0.9, 1.0) < 0.0 < rank(0.7, 0.0) < rank(0.99, 0.5)
+    assert rank(0.0, -1.0) == -np.inf
+
+
+def test_confidence_falls_with_all_that_speaks_against_a_pose() -> None:
+    usual = Claim(log_odds(0.99), -1.5, -1.2, -0.5, 0.0)
+    against = [
+        replace(usual, evident=log_odds(0.8)),
+        replace(usual, unmatched=-0.3),
+        replace(usual, scatter=0.0),
+        replace(usual, surprise=1.0),
+        replace(usual, rival=0.9),
+    ]
+    doubt = 1.0 - usual.confidence
+    assert doubt < 0.03
+    assert all(1.0 - claim.confidence > 1.5 * doubt for claim in against)
+    assert set(calibration.packaged().confidence.weights) == set(vars(usual))
+    # That nothing speaks against a pose is no evidence for it.
+    bare = replace(usual, evident=log_odds(0.4), unmatched=-2.0, scatter=-2.5, surprise=-1.0)
+    assert bare.confidence == pytest.approx(0.4)
+
+
+def _colonnade() -> tuple[Box, ...]:
+    """A long hall with a pillar every metre: it looks alike one metre further on."""
+    hall = Box((-60.0, -2.0, 0.0), (60.0, 2.0, 3.0), inside=True)
+    pillars = [
+        Box((x, side, 0.0), (x + 0.3, side + 0.3, 3.0))
+        for x in np.arange(-30.0, 30.0, PERIOD_M)
+        for side in (-2.0, 1.7)
+    ]
+    return (hall, *pillars)
+
+
+def test_a_pose_one_pillar_further_on_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    poses = [pose(0.02 * k, 0.0, 0.0) for k in range(12)]
+    clouds = scans(poses, lidar_rays(360, 32), world=_colonnade())
+    follow, wide = Fallback.follow, []
+
+    def pillar_off(self: Fallback, cloud: Any, guess: np.ndarray, *how: Any, **so: Any) -> Any:
+        """As if a wide search had slipped by a period, from the eighth scan on."""
+        fit = follow(self, cloud, guess, *how, **so)
+        if so.get('near'):
+            return fit
+        wide.append(fit)
+        if len(wide) < 8:
+            return fit
+        return replace(fit, T_odom_sensor=fit.T_odom_sensor @ moved(PERIOD_M, 0.0))
+
+    monkeypatch.setattr(Fallback, 'follow', pillar_off)
+    odometry = HybridOdometry(OdometryConfig(registrar='kiss-icp'), model=None)
+    results = [odometry.step(scan) for scan in clouds]
+    off = [
+        np.linalg.norm((se3.inverse(se3.inverse(poses[0]) @ T) @ r.pose)[:3, 3])
+        for T, r in zip(poses, results, strict=True)
+    ]
+    slipped = [c for c in odometry.judged if c.surprise > 0.5]
+    assert slipped  # the pillar further on was considered for the last scan
+    assert slipped[0].evidence.consistent > 0.8  # and fits
+    assert max(off) < 0.05
+    assert odometry.claim is not None
+    assert odometry.claim.rival > 0.5  # and the report knows of it
+    assert odometry.claim.surprise < 0.0

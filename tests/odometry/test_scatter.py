@@ -1,0 +1,85 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Scatter: the covariance of a pose by how much the parts of a scan disagree."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hybridreg_ros.odometry import align
+from hybridreg_ros.odometry.claim import disagreement
+from hybridreg_ros.odometry.scatter import scatter
+from hybridreg_ros.odometry.surfaces import Surfaces
+
+SIZE_M = 0.1
+SPREAD_M = 0.01
+
+
+def _scene(errors: np.ndarray, seed: int = 0) -> tuple:
+    """Points on the six sides of many cubes; `errors` (P, 3) is how far each cube is displaced."""
+    rng = np.random.default_rng(seed)
+    grid = np.stack(np.meshgrid(*[np.arange(-3, 4)] * 3), axis=-1).reshape(-1, 3) * 1.6 + 0.4
+    grid = grid[: len(errors)]
+    points, normals, offs = [], [], []
+    for centre, error in zip(grid, errors, strict=True):
+        for axis in range(3):
+            at = rng.uniform(-0.3, 0.3, (8, 3))
+            points.append(centre + at)
+            normals.append(np.tile(np.eye(3)[axis], (8, 1)))
+            offs.append(np.full(8, error[axis]))
+    points, normals = np.concatenate(points), np.concatenate(normals)
+    surfaces = Surfaces(len(points))
+    surfaces.kind[:] = align.PLANE
+    surfaces.normal[:] = normals
+    surfaces.anchor[:] = points - np.concatenate(offs)[:, None] * normals
+    scales = np.full(len(points), SPREAD_M)
+    ones = np.ones(len(points))
+    H, _, _ = align.normal_equations(
+        points, ones, np.eye(3), np.zeros(3), surfaces.kind, surfaces.anchor, surfaces.normal,
+        surfaces.variance, scales, 1.0,
+    )  # fmt: skip
+    return points, ones, np.eye(4), surfaces, scales, H, SIZE_M
+
+
+def test_it_is_the_spread_of_poses_over_many_draws_of_the_parts() -> None:
+    rng, parts, spread = np.random.default_rng(3), 200, 0.003
+    told, poses = [], []
+    for _ in range(60):
+        scene = _scene(rng.normal(0.0, spread, (parts, 3)))
+        told.append(scatter(*scene))
+        points, ones, T, surfaces, scales, H, _ = scene
+        _, b, _ = align.normal_equations(
+            points, ones, T[:3, :3].copy(), T[:3, 3].copy(), surfaces.kind, surfaces.anchor,
+            surfaces.normal, surfaces.variance, scales, 1.0,
+        )  # fmt: skip
+        poses.append(np.linalg.solve(H, -b))
+    found = np.mean(told, axis=0)
+    true = np.cov(np.array(poses).T)
+    ratio = np.sqrt(np.diag(found) / np.diag(true))
+    assert ratio.min() > 0.75
+    assert ratio.max() < 1.33
+    # Points that err alike in a part are worth less than the inverse information says.
+    assert np.sqrt(np.diag(found)[:3] / np.diag(np.linalg.inv(H))[:3]).min() < 1.0
+
+
+def test_parts_that_pull_apart_show_and_those_that_agree_do_not() -> None:
+    agree = np.tile([0.004, 0.0, 0.0], (60, 1))  # a common error is no disagreement
+    apart = np.where(np.arange(60)[:, None] % 2 == 0, agree, -agree)
+    calm, torn = scatter(*_scene(agree)), scatter(*_scene(apart))
+    assert np.sqrt(torn[0, 0]) > 4.0 * np.sqrt(calm[0, 0])
+    assert np.sqrt(torn[0, 0]) > 4.0 * np.sqrt(torn[1, 1])
+    assert disagreement(torn, SIZE_M) > disagreement(calm, SIZE_M)
+
+
+def test_too_few_parts_say_that_nothing_is_known() -> None:
+    points, ones, T, surfaces, scales, H, size_m = _scene(np.zeros((2, 3)))
+    assert scatter(points, ones, T, surfaces, scales, H, size_m)[0, 0] == pytest.approx(100.0)
+    none = scatter(points, 0.0 * ones, T, surfaces, scales, 0.0 * H, size_m)
+    assert none[3, 3] == pytest.approx(100.0)
+
+
+def test_disagreement_is_in_voxels_and_degrees() -> None:
+    covariance = np.diag([0.3, 0.1, 0.1, *np.deg2rad([4.0, 1.0, 1.0])]) ** 2
+    assert disagreement(covariance, 0.1) == pytest.approx(np.log10(5.003))
+    assert disagreement(np.zeros((6, 6)), 0.1) == pytest.approx(np.log10(0.003))

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 _STIFF_M = 0.003
 """Standard deviation, metres, below which a pose counts as held firmly."""
+FIRM = float(np.log10(_STIFF_M))
+"""Weakness of a pose that is held firmly."""
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hybridreg_ros.odometry.claim import log_odds
-from hybridreg_ros.odometry.confidence import weakness
+from hybridreg_ros.odometry.confidence import FIRM, of_evidence, weakness
 from hybridreg_ros.odometry.result import Reason, Source
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ class Located:
         evident: by the evidence alone, [0, 1].
         uncertainty: (M,) float32 of the network per map point of the cloud, None without one.
         surprise: how far it is off the predicted pose (`claim.surprise`).
+        rank: by which the best of several is chosen (`rank`).
     """
 
     fit: Fit
@@ -51,11 +52,7 @@ class Located:
     evident: float
     uncertainty: F32 | None = None
     surprise: float = 0.0
-
-    @property
-    def rank(self) -> float:
-        """By which the best of several is chosen (`rank`)."""
-        return rank(self.evident, self.surprise)
+    rank: float = 0.0
 
     def adds_to_map(self, gate: GateConfig, voxel_size_m: float) -> bool:
         """Whether the scan enters the map: not in doubt or held loosely where the map shows it."""
@@ -74,6 +71,7 @@ class Candidate:
         verdict: confidence by the evidence, and faults.
         reported: (4, 4) it at the instant that is asked for.
         surprise: how far it is off the predicted one (`claim.surprise`).
+        rank: by which the best of several is chosen (`rank`).
     """
 
     fit: Fit
@@ -81,22 +79,36 @@ class Candidate:
     verdict: Verdict
     reported: F64
     surprise: float = 0.0
-
-    @property
-    def rank(self) -> float:
-        """By which the best of several is chosen (`rank`)."""
-        return rank(self.verdict.confidence, self.surprise)
+    rank: float = 0.0
 
 
-def rank(confidence: float, surprise: float) -> float:
+def rank(evidence: Evidence, verdict: Verdict, surprise: float, soon: bool) -> float:
     """Order of the poses found for one scan: log odds by the evidence, less by distance.
+
+    How loosely a pose is held says how far off it may be, not which of two is the right one: a
+    wrong one is often the stiffer. So that does not count where the motion says where the scan is.
+
+    Args:
+        evidence: what speaks for the pose.
+        verdict: its confidence and faults; a pose with a fault comes last.
+        surprise: how far it is off the predicted one (`claim.surprise`).
+        soon: whether the scan follows the last one closely.
+    """
+    if verdict.fault is not None:
+        return -np.inf
+    firm = of_evidence(replace(evidence, weakness=FIRM)) if soon else verdict.confidence
+    return against_motion(firm, surprise)
+
+
+def against_motion(confidence: float, surprise: float) -> float:
+    """Log odds of a pose by the evidence, less by its distance from the predicted one.
 
     Args:
         confidence: by the evidence, [0, 1].
         surprise: how far the pose is off the predicted one (`claim.surprise`); below 0 it does not
             count, since then it is within what is usual.
     """
-    return log_odds(confidence) - AGAINST * max(0.0, surprise) if confidence > 0.0 else -np.inf
+    return log_odds(confidence) - AGAINST * max(0.0, surprise)
 
 
 def located_by_kiss(found: Candidate, reason: Reason) -> Located:
@@ -104,7 +116,7 @@ def located_by_kiss(found: Candidate, reason: Reason) -> Located:
     confidence = found.verdict.confidence
     return Located(
         found.fit, found.evidence, Source.KISS_ICP, reason, confidence, confidence,
-        surprise=found.surprise,
+        surprise=found.surprise, rank=found.rank,
     )  # fmt: skip
 
 

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.core.errors import RegistrationError
-from hybridreg_ros.odometry import claim, covariance
+from hybridreg_ros.odometry import claim, covariance, located
 from hybridreg_ros.odometry.confidence import Evidence, Gate, Verdict, judge, weakness
 from hybridreg_ros.odometry.fallback import Fallback
-from hybridreg_ros.odometry.located import Candidate, Located, better, located_by_kiss, rank
+from hybridreg_ros.odometry.located import Candidate, Located, better, located_by_kiss
 from hybridreg_ros.odometry.result import Reason, Source
 from hybridreg_ros.odometry.settle import settle
 
@@ -49,6 +49,8 @@ err alike over many): measured as what made poses amid scans consistent (NEES of
 _FAR = 3.0
 """A pose of the network farther off the expected one, in (widened) standard deviations, is refined
 without it."""
+_SOON_S = 0.15
+"""So soon after the last scan the motion says where this one is; later much can have happened."""
 _JUMP = 0.5
 """A pose three times as far off the prediction as is usual, and out of reach, has jumped: it is
 taken only where that is more likely than not, all things considered."""
@@ -230,6 +232,7 @@ class Locator:
             candidate.verdict.confidence,
             proposal.uncertainty,
             candidate.surprise,
+            candidate.rank,
         )
 
     def _by_fallback(
@@ -284,9 +287,12 @@ class Locator:
         reported = cloud.reported(fit.T_odom_sensor, fit.sway)
         off = claim.surprise(fit.T_odom_sensor, expected, self._voxel_m)
         if expected is not None and off > _JUMP and expected.is_out_of_reach(fit.T_odom_sensor):
-            unlikely = verdict.fault is None and rank(verdict.confidence, off) < 0.0
+            unlikely = (
+                verdict.fault is None and located.against_motion(verdict.confidence, off) < 0.0
+            )
             verdict = Verdict(0.0, Reason.DISAGREES_WITH_MOTION) if unlikely else verdict
-        candidate = Candidate(fit, evidence, verdict, reported, off)
+        order = located.rank(evidence, verdict, off, 0.0 < dt_s <= _SOON_S)
+        candidate = Candidate(fit, evidence, verdict, reported, off, order)
         self.judged.append(candidate)
         return candidate
 

@@ -14,13 +14,14 @@ from tiny_world import Box, lidar_rays, pose, scans
 from hybridreg_ros.core import se3
 from hybridreg_ros.odometry import calibration
 from hybridreg_ros.odometry.claim import Claim, log_odds, rival, surprise
-from hybridreg_ros.odometry.confidence import Evidence, Verdict
+from hybridreg_ros.odometry.confidence import Evidence, Verdict, of_evidence
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.fallback import Fallback
 from hybridreg_ros.odometry.frontend import HybridOdometry
-from hybridreg_ros.odometry.located import Candidate, rank
+from hybridreg_ros.odometry.located import Candidate, against_motion, rank
 from hybridreg_ros.odometry.motion import Expected, Motion
 from hybridreg_ros.odometry.refine import Fit
+from hybridreg_ros.odometry.result import Reason
 
 PERIOD_M = 1.0
 AT = pose(2.0, -1.0, 30.0)
@@ -77,9 +78,21 @@ def test_a_rival_is_another_pose_as_plausible() -> None:
 
 
 def test_far_poses_lose_to_near_ones_that_fit_almost_as_well() -> None:
-    assert rank(0.9, -1.0) == rank(0.9, 0.0) == pytest.approx(log_odds(0.9))
-    assert rank(0.9, 1.0) < 0.0 < rank(0.7, 0.0) < rank(0.99, 0.5)
-    assert rank(0.0, -1.0) == -np.inf
+    assert against_motion(0.9, -1.0) == against_motion(0.9, 0.0) == pytest.approx(log_odds(0.9))
+    assert against_motion(0.9, 1.0) < 0.0 < against_motion(0.7, 0.0) < against_motion(0.99, 0.5)
+
+
+def test_a_stiff_pose_beats_a_loose_one_only_where_the_motion_is_old() -> None:
+    loose, stiff = Evidence(0.97, 0.9, 0.96, 0.03, -1.3), Evidence(0.96, 0.9, 0.96, 0.03, -2.3)
+    fine = [Verdict(of_evidence(e), None) for e in (loose, stiff)]
+    soon = [rank(e, v, s, True) for e, v, s in zip((loose, stiff), fine, (-0.3, 0.3), strict=True)]
+    late = [
+        rank(e, v, s, False) for e, v, s in zip((loose, stiff), fine, (-0.3, 0.3), strict=True)
+    ]
+    assert soon[0] > soon[1]
+    assert late[0] < late[1]
+    fault = Verdict(0.0, Reason.NO_OVERLAP)
+    assert rank(stiff, fault, -1.0, True) == rank(stiff, fault, -1.0, False) == -np.inf
 
 
 def test_confidence_falls_with_all_that_speaks_against_a_pose() -> None:

@@ -194,10 +194,11 @@ def _suite(p: argparse.ArgumentParser) -> None:
     group.add_argument('--frames', type=COUNT, metavar='N', help='at most n of each sequence')
     group.add_argument('--data', type=Path, default=Path('../shared/data'), metavar='DIR',
                        help='real recordings (default ../shared/data)')  # fmt: skip
-    group.add_argument('--fit', type=Path, metavar='FILE',
-                       help='with --suite dev: fit evidence and covariance')  # fmt: skip
-    group.add_argument('--fit-confidence', type=Path, metavar='FILE',
-                       help='with --suite dev: fit the confidence that is reported')  # fmt: skip
+    fit = group.add_mutually_exclusive_group()
+    fit.add_argument('--fit', type=Path, metavar='FILE',
+                     help='with --suite dev: fit evidence and covariance')  # fmt: skip
+    fit.add_argument('--fit-confidence', type=Path, metavar='FILE',
+                     help='with --suite dev: fit the confidence that is reported')  # fmt: skip
     group.add_argument('--table-only', action='store_true', help='make the table of what is there')
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import sys
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from hybridreg_ros.cli.common import bar, odometry_config, write_result
@@ -17,12 +18,13 @@ from hybridreg_ros.replay.suite_list import STRIDES
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
-    from hybridreg_ros.odometry.config import OdometryConfig
+    from hybridreg_ros.replay.suite_data import SuiteFrame
     from hybridreg_ros.replay.suite_list import Sequence
 
+    Part = suite_fit.Evidences | suite_claims.Claims
     Tick = Callable[[], Any]
 
 
@@ -32,40 +34,25 @@ def evidence(args: argparse.Namespace, sequences: list[Sequence]) -> int:
     Raises:
         ConfigError: the suite is one that is scored.
     """
-    _only_dev(args)
+    _only_dev(args, '--fit')
     config = odometry_config(args.config, args.registrar)
     mark = suite_run.fingerprint('ours-no-network', config, None)
     del mark['calibration']  # every pose is gathered, whatever its confidence
     strides = tuple(args.strides or STRIDES)
-    runs = [(n, True) for n in strides] + [(max(1, n // 2), False) for n in strides]
-    parts = []
-    with bar(len(sequences) * len(runs), 'fit', 'run') as shown:
+    wanted = [(n, True) for n in strides] + [(max(1, n // 2), False) for n in strides]
+    parts: list[dict[str, Any]] = []
+    with bar(len(sequences) * len(wanted), 'fit', 'run') as shown:
         for sequence in sequences:
-            parts += _evidences(args, sequence, runs, config, mark, shown.update)
-    found, quality = suite_fit.fit(parts)
+            runs = {
+                f'fit/{sequence.name}__{stride}{"" if jolted else "__plain"}.json': partial(
+                    suite_fit.gather, sequence, stride=stride, base=config, jolted=jolted
+                )
+                for stride, jolted in wanted
+            }
+            parts += _parts(args, sequence, mark, runs, shown.update)
+    found, quality = suite_fit.fit([suite_fit.Evidences.from_dict(p) for p in parts])
     print(json.dumps({**found.evidence.to_dict(), 'covariance_scale': found.covariance_scale}))
     return _write_fit(args, args.fit, found, quality)
-
-
-def _evidences(
-    args: argparse.Namespace, sequence: Sequence, runs: list[tuple[int, bool]],
-    config: OdometryConfig, mark: dict[str, Any], tick: Tick,
-) -> list[suite_fit.Evidences]:  # fmt: skip
-    """What a sequence gives to a fit; kept in the folder `fit` while code and settings stay.
-
-    Each run has a stride, and predictions that are off or not.
-    """
-    parts, frames = [], None
-    for stride, jolted in runs:
-        path = args.out / 'fit' / f'{sequence.name}__{stride}{"" if jolted else "__plain"}.json'
-        kept = _kept(path, sequence, mark)
-        if kept is None:
-            frames = frames or suite_data.load(sequence, args.data, args.out / 'cache')
-            part = suite_fit.gather(sequence, frames, stride, config, jolted)
-            kept = _keep(path, sequence, mark, part.to_dict())
-        parts.append(suite_fit.Evidences.from_dict(kept))
-        tick()
-    return parts
 
 
 def confidence(args: argparse.Namespace, sequences: list[Sequence]) -> int:
@@ -74,59 +61,50 @@ def confidence(args: argparse.Namespace, sequences: list[Sequence]) -> int:
     Raises:
         ConfigError: the suite is one that is scored.
     """
-    _only_dev(args)
+    _only_dev(args, '--fit-confidence')
     config = odometry_config(args.config, args.registrar)
     mark = suite_run.fingerprint('ours', config, weights_of(args))
     mark['calibration'] = calibration.packaged().evidence.to_dict()
-    strides = tuple(args.strides or STRIDES)
-    parts = []
+    strides, model = tuple(args.strides or STRIDES), _model(args)
+    parts: list[dict[str, Any]] = []
     with bar(len(sequences) * len(strides), 'fit', 'run') as shown:
         for sequence in sequences:
-            parts += _claims(args, sequence, strides, config, mark, shown.update)
-    found, quality = suite_claims.fit(parts)
+            runs = {
+                f'claims/{sequence.name}__{stride}.json': partial(
+                    suite_claims.gather, sequence, stride=stride, config=config, model=model
+                )
+                for stride in strides
+            }
+            parts += _parts(args, sequence, mark, runs, shown.update)
+    found, quality = suite_claims.fit([suite_claims.Claims.from_dict(p) for p in parts])
     print(json.dumps(found.confidence.to_dict()))
     return _write_fit(args, args.fit_confidence, found, quality)
 
 
-def _claims(
-    args: argparse.Namespace, sequence: Sequence, strides: tuple[int, ...],
-    config: OdometryConfig, mark: dict[str, Any], tick: Tick,
-) -> list[suite_claims.Claims]:  # fmt: skip
-    """Claims of a sequence; kept in the folder `claims` while code, settings and weights stay."""
-    parts, frames = [], None
-    for stride in strides:
-        path = args.out / 'claims' / f'{sequence.name}__{stride}.json'
-        kept = _kept(path, sequence, mark)
-        if kept is None:
+def _parts(
+    args: argparse.Namespace, sequence: Sequence, mark: dict[str, Any],
+    runs: Mapping[str, Callable[[list[SuiteFrame]], Part]], tick: Tick,
+) -> Iterator[dict[str, Any]]:  # fmt: skip
+    """What each run of a sequence gave, by its file; kept while its mark stays.
+
+    The frames are loaded when a run is missing.
+    """
+    mark = {'fingerprint': mark, 'frames': sequence.frames}
+    frames = None
+    for name, gather in runs.items():
+        path = args.out / name
+        kept = json.loads(path.read_text('utf-8')) if path.is_file() else {}
+        if any(kept.get(key) != value for key, value in mark.items()):
             frames = frames or suite_data.load(sequence, args.data, args.out / 'cache')
-            part = suite_claims.gather(sequence, frames, stride, config, _model(args))
-            kept = _keep(path, sequence, mark, part.to_dict())
-        parts.append(suite_claims.Claims.from_dict(kept))
+            kept = {**mark, **gather(frames).to_dict()}
+            write_json(path, kept)
+        yield kept
         tick()
-    return parts
 
 
-def _kept(path: Path, sequence: Sequence, mark: dict[str, Any]) -> dict[str, Any] | None:
-    """What a file holds when it was made under the same mark, else None."""
-    if not path.is_file():
-        return None
-    kept: dict[str, Any] = json.loads(path.read_text('utf-8'))
-    same = kept.get('fingerprint') == mark and kept.get('frames') == sequence.frames
-    return kept if same else None
-
-
-def _keep(
-    path: Path, sequence: Sequence, mark: dict[str, Any], values: dict[str, Any]
-) -> dict[str, Any]:
-    """Write what a run gave, with its mark."""
-    kept = {'fingerprint': mark, 'frames': sequence.frames, **values}
-    write_json(path, kept)
-    return kept
-
-
-def _only_dev(args: argparse.Namespace) -> None:
+def _only_dev(args: argparse.Namespace, option: str) -> None:
     if args.suite != 'dev':
-        raise ConfigError('--fit needs --suite dev: what is scored must not be fitted on')
+        raise ConfigError(f'{option} needs --suite dev: what is scored must not be fitted on')
 
 
 def _model(args: argparse.Namespace) -> Any:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 PACKAGED = Path(__file__).parent / 'calibration.json'
 KINDS = ('depth', 'lidar')
 _LARGEST_SCORE = 500.0
+"""Log odds beyond this overflow."""
 EVIDENCE = ('consistent', 'before', 'weakness')
 """Attributes of `confidence.Evidence` by which poses are judged."""
 CLAIM = ('evident', 'unmatched', 'scatter', 'surprise', 'rival')

@@ -284,7 +284,11 @@ def test_suite_command_keeps_cells_and_goes_on(
         (['x.mcap', '--suite', 'rooms', '--out', 'o'], '--suite takes no bags'),
         (['--suite', 'rooms', '--out', 'o', '--methods', 'magic'], "found 'magic'"),
         (['--suite', 'rooms', '--out', 'o', '--fit', 'f'], '--fit needs --suite dev'),
-        (['--suite', 'all', '--out', 'o', '--fit-confidence', 'f'], '--fit needs --suite dev'),
+        (
+            ['--suite', 'all', '--out', 'o', '--fit-confidence', 'f'],
+            '--fit-confidence needs --suite dev',
+        ),
+        (['--suite', 'dev', '--out', 'o', '--fit', 'f', '--fit-confidence', 'f'], 'not allowed'),
         ([], 'no bag given'),
     ],
 )

@@ -12,7 +12,8 @@ import numpy as np
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import NS_PER_S
-from hybridreg_ros.odometry import align, cells, objects, segments
+from hybridreg_ros.odometry import cells, objects, segments
+from hybridreg_ros.odometry.backdrop import lies_on_backdrop, lies_on_plane
 from hybridreg_ros.odometry.rangeimage import FRONT, ON, RangeImage
 from hybridreg_ros.odometry.thinning import occupied
 
@@ -33,6 +34,8 @@ _SURE = 0.95
 """P(dynamic) of a cell that stands in space seen free."""
 _FORGOTTEN = 1e-3
 """Remembered P(dynamic) below this is 0; fading on, it would become denormal, and slow."""
+_BENT = 2.0
+"""How far bent scans may raise the ground, in slacks."""
 _TOLERANCE = {'depth': (0.4, 0.0125), 'lidar': (0.5, 0.015)}
 """Slack in voxels and as a share of the range; a sparse lidar says less about slanted surfaces."""
 
@@ -71,6 +74,7 @@ class Dynamics:
     def __init__(self, config: DynamicsConfig, sensor: SensorModel) -> None:
         self._config = config
         self._size_m = config.cell * sensor.voxel_size_m
+        self._kind = sensor.kind
         slack, share = _TOLERANCE[sensor.kind]
         self._slack_m = (config.tolerance or slack) * sensor.voxel_size_m
         self._slack_share = config.tolerance_share or share
@@ -116,6 +120,7 @@ class Dynamics:
         counts = np.bincount(cell[inside], weights=cloud.counts[inside], minlength=len(keys))
         remembered = self._remembered(placed[first], spread=False)
         seed, known = self._seeds(cloud.means[first], T_odom_sensor, remembered)
+        self._leave_ground(seed, known, placed[first], T_odom_sensor, local_map)
         if uncertainty is not None:
             vote = _mean_per_cell(uncertainty, cell, len(keys))
             seed = self._with_network(seed, vote, cloud.means[first], T_odom_sensor)
@@ -126,12 +131,13 @@ class Dynamics:
             shape = objects.Shape(
                 *segments.normals(placed - T_odom_sensor[:3, 3], cell, *grid.index)
             )
-            wall = self._on_large_plane(placed[first].astype(np.float64), local_map)
+            wall = lies_on_plane(placed[first], local_map.coarse, local_map.updates, self._slack_m)
             value = self._grown(grid, shape, group, seed, known, wall)
         # Memory comes after the growth and does not spread: else it would creep over everything.
         fading = self._config.decay * remembered
         fading[fading < _FORGOTTEN] = 0.0
         value = np.maximum(value, fading)
+        self._leave_backdrop(value, group >= 0, placed[first], T_odom_sensor[:3, 3], local_map)
         self._grid = _Grid(table, slots, value)
         of_cube = np.where(cell >= 0, value[cell], 0.0).astype(np.float32)
         return np.where(cloud.cube >= 0, of_cube[cloud.cube], np.float32(0.0))
@@ -223,19 +229,35 @@ class Dynamics:
             cells.look_up(placed, self._size_m, grid.table, grid.slots, grid.value, spread, out)
         return out
 
-    def _on_large_plane(self, placed: F64, local_map: LocalMap) -> NDArray[np.bool_]:
-        """Which points (K, 3), odom frame, lie on a plane of the map one coarse voxel large."""
-        level, n = local_map.coarse, len(placed)
-        kind, variance = np.zeros(n, np.int8), np.zeros(n)
-        anchor, normal = np.zeros((n, 3)), np.zeros((n, 3))
-        align.associate(
-            placed, np.eye(3), np.zeros(3), level.grid, level.grid, level.grid, local_map.updates,
-            kind, anchor, normal, variance, np.zeros(n),
-        )  # fmt: skip
-        off = np.abs(np.einsum('ij,ij->i', placed - anchor, normal))
-        thin = variance < (self._slack_m) ** 2
-        on: NDArray[np.bool_] = (kind == align.PLANE) & thin & (off < self._slack_m)
-        return on
+    def _leave_ground(
+        self, seed: F32, known: NDArray[np.bool_], placed: F32, T_odom_sensor: F64,
+        local_map: LocalMap,
+    ) -> None:  # fmt: skip
+        """Take seeds (M,) on the ground for known: it does not move, so a scan was bent there.
+
+        Only for lidars, which stand upright: a nod within a turn that was not found raises the
+        ground in part of the view, and what hangs on it would follow.
+        """
+        rows = np.flatnonzero(seed > 0.0)
+        if self._kind != 'lidar' or len(rows) == 0:
+            return
+        still = rows[
+            lies_on_backdrop(
+                placed[rows], T_odom_sensor[:3, 3], local_map.coarse, _BENT * self._slack_m,
+                up=T_odom_sensor[:3, 2],
+            )
+        ]  # fmt: skip
+        seed[still] = 0.0
+        known[still] = True
+
+    def _leave_backdrop(
+        self, value: F32, seed: NDArray[np.bool_], placed: F32, sensor: F64, local_map: LocalMap
+    ) -> None:
+        """Set the value (M,) of floors and walls to 0 where only their surroundings move."""
+        rows = np.flatnonzero((value > 0.0) & ~seed)
+        if len(rows):
+            still = lies_on_backdrop(placed[rows], sensor, local_map.coarse, self._slack_m)
+            value[rows[still]] = 0.0
 
     def _grown(
         self,

@@ -110,8 +110,9 @@ class LocalMap:
     """Static surroundings of the sensor at three resolutions, in the odom frame.
 
     The coarse level widens the basin of the registration; the fine one gives the accuracy; the
-    middle one has surfaces where the rings of a lidar are too far apart for the fine one. The map
-    forgets what lies farther from the sensor than its reach, so its memory is bounded.
+    middle and then the coarse one have surfaces where the rings of a lidar are too far apart, or
+    a depth camera too noisy, for the finer ones. The map forgets what lies farther from the sensor
+    than its reach, so its memory is bounded.
 
     Args:
         voxel_size_m: edge of a fine cube.
@@ -119,8 +120,8 @@ class LocalMap:
         points_per_voxel: most points kept per cube.
         coarse_factor: edge of a coarse cube in fine ones.
         noisy: whether the noise grows with the range, as that of a depth camera. Then surfaces are
-            fitted to stored points by their mass, and where the middle level is too noisy to show
-            one, the coarse level does. Rings of a lidar pile up mass where they lie by chance.
+            fitted to stored points by their mass. Rings of a lidar pile up mass where they lie by
+            chance.
 
     Attributes:
         changes: how often its points changed.
@@ -140,7 +141,6 @@ class LocalMap:
         self.fine, self.middle, self.coarse = (
             VoxelLevel(size, points_per_voxel, noisy) for size in sizes
         )
-        self._widest = self.coarse if noisy else self.middle
         self._reach_m = reach_m
         self._pruned_at = np.full(3, np.inf)
         self.changes = 0
@@ -156,7 +156,7 @@ class LocalMap:
     @property
     def of_surfaces(self) -> tuple[VoxelLevel, VoxelLevel, VoxelLevel]:
         """Levels that are asked for surfaces, the finest first."""
-        return self.fine, self.middle, self._widest
+        return self.fine, self.middle, self.coarse
 
     def __len__(self) -> int:
         """Cubes of the fine level in use."""

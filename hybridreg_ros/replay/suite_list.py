@@ -88,7 +88,12 @@ def _development() -> tuple[Sequence, ...]:
         '10-30': (930, 932, 935, 955, 956),
         '30-50': (902, 911, 923, 931, 933, 936, 942, 944),
     }
-    few_rings = ((823, '30-50'), (827, '30-50'), (840, 'none'))
+    few_rings = ((823, '30-50', 24), (827, '30-50', 24), (840, 'none', 24))
+    slow = ((8223, 'none', 30), (8029, '10-30', 30), (8112, '30-50', 30), (8132, '30-50', 30))
+    fast = (
+        (8301, 'none', 100), (8306, 'none', 100), (8309, 'none', 100), (8310, 'none', 100),
+        (8330, '10-30', 100), (8337, '10-30', 100),
+    )  # fmt: skip
     return (
         *(_simulated(f'dev-room-{seed}', 'dev', 80, share, seed) for seed, share in rooms),
         *(
@@ -104,7 +109,10 @@ def _development() -> tuple[Sequence, ...]:
             _simulated(f'dev-street-{seed}', 'dev', 40, share, seed)
             for seed, share in streets + rough
         ),
-        *(_simulated(f'dev-street-{seed}', 'dev', 24, share, seed) for seed, share in few_rings),
+        *(
+            _simulated(f'dev-street-{seed}', 'dev', frames, share, seed)
+            for seed, share, frames in few_rings + slow + fast
+        ),
     )
 
 

@@ -18,7 +18,9 @@ STEP_M = 0.07
 TRUNKS = np.random.default_rng(3).uniform([-14.0, -14.0, 0.12], [14.0, 14.0, 0.35], (12, 3))
 
 
-def ring_scan(x_m: float, seed: int) -> np.ndarray:
+def ring_scan(
+    x_m: float, seed: int, trunks: np.ndarray = TRUNKS, height_m: float = HEIGHT_M
+) -> np.ndarray:
     """What 16 rings see from a place on flat ground between tree trunks, (N, 3), metres."""
     rng = np.random.default_rng([seed, 5])
     elevation, azimuth = np.meshgrid(
@@ -26,8 +28,8 @@ def ring_scan(x_m: float, seed: int) -> np.ndarray:
     )
     flat = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
     slope = np.tan(elevation)
-    far = np.where(slope < 0.0, -HEIGHT_M / np.minimum(slope, -1e-6), 60.0)  # horizontal range
-    for cx, cy, radius in TRUNKS - [x_m, 0.0, 0.0]:
+    far = np.where(slope < 0.0, -height_m / np.minimum(slope, -1e-6), 60.0)  # horizontal range
+    for cx, cy, radius in trunks - [x_m, 0.0, 0.0]:
         along = flat @ np.array([cx, cy])
         off = cx**2 + cy**2 - along**2
         hit = (along > 0.0) & (off < radius**2)
@@ -59,3 +61,15 @@ def test_one_ring_is_no_surface_and_two_rings_of_a_wall_are() -> None:
         found = Surfaces(len(wall))
         found.search(wall, np.eye(4), local_map.of_surfaces, local_map.updates)
         assert least <= np.mean(found.kind == PLANE) <= most
+
+
+def test_ground_between_far_rings_is_a_surface() -> None:
+    scan = ring_scan(0.0, 1, np.zeros((0, 3)))
+    ground = scan[np.hypot(scan[:, 0], scan[:, 1]) < 7.0]  # rings 0.7 to 1.4 m apart
+    local_map = LocalMap(0.15, 100.0, 20, 8.0)
+    local_map.update(scan, np.zeros(3))
+    found = Surfaces(len(ground))
+    found.search(ground.astype(np.float64), np.eye(4), local_map.of_surfaces, local_map.updates)
+    planes = found.kind == PLANE
+    assert planes.mean() > 0.8
+    assert np.quantile(np.abs(found.normal[planes, 2]), 0.05) > 0.98

@@ -4,15 +4,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import DependencyError, FileFormatError
 from hybridreg_ros.core.pointcloud2 import field_values, has_field, to_scan
 from hybridreg_ros.core.scan import NS_PER_S, Scan
+from hybridreg_ros.odometry.preprocess import deskew
 from hybridreg_ros.replay.convert import ConvertOptions, open_recording
 from hybridreg_ros.replay.recording import EPOCH_S, RecordedFrame, simulated
 from hybridreg_ros.replay.trajectory_io import read_kitti_rows
@@ -59,6 +61,8 @@ def load(sequence: Sequence, data: Path, cache: Path) -> list[SuiteFrame]:
     """
     if sequence.source == 'simulated':
         made = _simulated(sequence, cache)
+        if sequence.deskewed:
+            made = _deskewed(made)
         return [_narrowed(f, sequence.window) for f in made] if sequence.window else made
     folder = data / sequence.folder
     if not folder.is_dir():
@@ -86,6 +90,20 @@ def _narrowed(frame: SuiteFrame, window: float) -> SuiteFrame:
     moving = None if frame.moving is None else frame.moving[inside]
     scan = Scan(points[inside], stamp=frame.scan.stamp, frame_id=frame.scan.frame_id)
     return SuiteFrame(scan, frame.T_world_sensor, moving)
+
+
+def _deskewed(frames: list[SuiteFrame]) -> list[SuiteFrame]:
+    """Frames with the motion from stamp to stamp undone, and no times."""
+    done = []
+    for k, frame in enumerate(frames):
+        assert frame.scan.times is not None
+        a, b = (frame, frames[k + 1]) if k + 1 < len(frames) else (frames[k - 1], frame)
+        dt = (b.scan.stamp - a.scan.stamp) / NS_PER_S
+        twist = se3.log(se3.inverse(a.T_world_sensor) @ b.T_world_sensor) / dt
+        points = deskew(frame.scan.points, frame.scan.times, twist, 0.0)
+        scan = Scan(points, stamp=frame.scan.stamp, frame_id=frame.scan.frame_id)
+        done.append(replace(frame, scan=scan))
+    return done
 
 
 def _decoded(frame: RecordedFrame) -> SuiteFrame:

@@ -35,6 +35,8 @@ class Sequence:
         moving: whether anything moves; None when nobody knows.
         window: half the width and height of the view that is kept, as a share of its depth (the
             tangent of the angle); a narrow one often shows a bare wall only. 0 = all.
+        deskewed: whether the motion during each scan is undone by the true poses and its times are
+            left out, as in recordings that were prepared for a benchmark.
     """
 
     name: str
@@ -49,6 +51,7 @@ class Sequence:
     period_s: float = 0.1
     moving: bool | None = None
     window: float = 0.0
+    deskewed: bool = False
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -94,6 +97,7 @@ def _development() -> tuple[Sequence, ...]:
         (8301, 'none', 100), (8306, 'none', 100), (8309, 'none', 100), (8310, 'none', 100),
         (8330, '10-30', 100), (8337, '10-30', 100),
     )  # fmt: skip
+    plain = ((8301, 'none'), (8306, 'none'), (8309, 'none'), (8330, '10-30'))
     return (
         *(_simulated(f'dev-room-{seed}', 'dev', 80, share, seed) for seed, share in rooms),
         *(
@@ -112,6 +116,10 @@ def _development() -> tuple[Sequence, ...]:
         *(
             _simulated(f'dev-street-{seed}', 'dev', frames, share, seed)
             for seed, share, frames in few_rings + slow + fast
+        ),
+        *(
+            replace(_simulated(f'dev-street-plain-{seed}', 'dev', 100, share, seed), deskewed=True)
+            for seed, share in plain
         ),
     )
 

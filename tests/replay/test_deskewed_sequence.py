@@ -1,0 +1,48 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Development sequences whose motion during each scan is undone, as in prepared recordings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybridreg_ros.core import se3
+from hybridreg_ros.replay import suite_data
+from hybridreg_ros.replay.suite_list import SEQUENCES
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+TWIST = np.array([6.0, 0.3, 0.0, 0.0, 0.2, 0.5])
+
+
+def test_deskewed_points_lie_where_the_still_world_is(tmp_path: Path) -> None:
+    count, each = 3, 200
+    rng = np.random.default_rng(4)
+    world = rng.uniform([-20.0, -20.0, -2.0], [20.0, 20.0, 6.0], (count, each, 3))
+    times = np.sort(rng.uniform(0.0, 0.1, (count, each)), axis=1)
+    poses = [se3.exp(0.1 * k * TWIST) for k in range(count)]
+    measured = [
+        se3.apply(se3.inverse(se3.exp((0.1 * k + t) * TWIST)), p[None])[0]
+        for k in range(count)
+        for t, p in zip(times[k], world[k], strict=True)
+    ]
+    np.savez(
+        tmp_path / 'street_8301_none_3.npz', stamps=np.arange(count) * 100_000_000,
+        poses=np.array(poses), sizes=np.full(count, each),
+        points=np.array(measured, np.float32), moving=np.zeros(count * each, bool),
+        times=times.ravel(),
+    )  # fmt: skip
+    plain = replace(SEQUENCES['dev-street-plain-8301'], frames=count)
+    frames = suite_data.load(plain, tmp_path, tmp_path)
+    as_measured = suite_data.load(replace(plain, deskewed=False), tmp_path, tmp_path)
+    for k, (frame, skewed) in enumerate(zip(frames, as_measured, strict=True)):
+        assert frame.scan.times is None
+        assert skewed.scan.times is not None
+        placed = se3.apply(frame.T_world_sensor, frame.scan.points)
+        assert np.abs(placed - world[k]).max() < 1e-3
+        smeared = se3.apply(skewed.T_world_sensor, skewed.scan.points)
+        assert np.abs(smeared - world[k]).max() > 0.5

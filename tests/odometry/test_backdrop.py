@@ -19,14 +19,14 @@ SLACK_M = 0.08
 
 
 def sheet(step_m: float, noise_m: float = 0.01) -> np.ndarray:
-    """Points (N, 2) of a square of 4 m by 4 m around the origin, and noise as third column."""
+    """Points (N, 3), metres, of a floor of 4 m by 4 m around the origin, a step apart, with noise."""
     rng = np.random.default_rng(7)
     flat = np.stack(np.meshgrid(*[np.arange(-2.0, 2.0, step_m)] * 2), -1).reshape(-1, 2)
     return np.c_[flat, rng.normal(0.0, noise_m, len(flat))]
 
 
 def legs() -> np.ndarray:
-    """Points of two legs that stand at (1, 0), up to 0.8 m high."""
+    """Points (N, 3), metres, of two legs that stand at (1, 0), up to 0.8 m high."""
     height = np.arange(0.05, 0.8, 0.05)
     at = [[1.0, y] for y in (-0.15, 0.15)]
     return np.concatenate([np.c_[np.tile(p, (len(height), 1)), height] for p in at])

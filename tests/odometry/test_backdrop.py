@@ -19,7 +19,7 @@ SLACK_M = 0.08
 
 
 def sheet(step_m: float, noise_m: float = 0.01) -> np.ndarray:
-    """Points (N, 3), metres, of a floor of 4 m by 4 m around the origin, a step apart, with noise."""
+    """Points (N, 3), metres, of a floor of 4 m by 4 m around the origin, with noise."""
     rng = np.random.default_rng(7)
     flat = np.stack(np.meshgrid(*[np.arange(-2.0, 2.0, step_m)] * 2), -1).reshape(-1, 2)
     return np.c_[flat, rng.normal(0.0, noise_m, len(flat))]

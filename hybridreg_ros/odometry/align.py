@@ -8,89 +8,30 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from hybridreg_ros.core.eigen import smallest_axis
-from hybridreg_ros.odometry.voxelmap import EMPTY, find_slot, nearest, voxel_key
+from hybridreg_ros.odometry.planes import buffer, fit_around
+from hybridreg_ros.odometry.voxelmap import nearest
 
 _jit = numba.njit(cache=True, nogil=True)
 
 NONE, POINT, PLANE = 0, 1, 2
-MIN_PLANE_POINTS = 6
-FLATNESS = 0.15
-"""A neighbourhood is a plane when its variance across is below this share of the next one."""
-BREADTH = 0.02
-"""And not a line: the variance along it is at most 1 / BREADTH times the next one."""
 GRAZING = 0.12
-"""And not seen edge-on (cosine between normal and beam). Of a single ring of a lidar the range
-noise makes a strip, and that lies in the cone of its beams: it would travel along with the sensor
-and hold it where it was."""
+"""A surface is not seen edge-on (cosine between normal and beam). Of a single ring of a lidar the
+range noise makes a strip, and that lies in the cone of its beams: it would travel along with the
+sensor and hold it where it was."""
+BETWEEN = 0.5
+"""How far off a surface of the wider level a point between the rings may be, in voxels."""
 
 
 @_jit
-def fit_around(x, y, z, grid):  # type: ignore[no-untyped-def]
-    """Plane through the stored points within one voxel edge of a place.
-
-    Stored points keep a distance from each other, so where noise has made them lie deep, the few
-    that are far off would count like those in which most measurements came together; by mass they
-    do not.
-
-    Returns:
-        Number of points (0 when they are not flat), unit normal, offset of the plane from the
-        place along the normal, variance across it.
-    """
-    size = grid.size
-    reach_sq = size * size
-    centre = voxel_key(x, y, z, 1.0 / size)
-    n, mass = 0, 0.0
-    sx, sy, sz = 0.0, 0.0, 0.0
-    sxx, sxy, sxz, syy, syz, szz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    if centre == EMPTY:
-        return 0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for di in range(-1, 2):
-        for dj in range(-1, 2):
-            for dk in range(-1, 2):
-                slot = find_slot(grid.table, centre + (di << 42) + (dj << 21) + dk)
-                if grid.table[slot] == EMPTY:
-                    continue
-                voxel = grid.slots[slot]
-                for i in range(grid.counts[voxel]):
-                    dx = grid.store[voxel, i, 0] - x
-                    dy = grid.store[voxel, i, 1] - y
-                    dz = grid.store[voxel, i, 2] - z
-                    if dx * dx + dy * dy + dz * dz > reach_sq:
-                        continue
-                    n += 1
-                    w = float(grid.mass[voxel, i]) if grid.by_mass else 1.0
-                    mass += w
-                    wx, wy, wz = w * dx, w * dy, w * dz
-                    sx, sy, sz = sx + wx, sy + wy, sz + wz
-                    sxx, sxy, sxz = sxx + wx * dx, sxy + wx * dy, sxz + wx * dz
-                    syy, syz, szz = syy + wy * dy, syz + wy * dz, szz + wz * dz
-    if n < MIN_PLANE_POINTS:
-        return 0, 0.0, 0.0, 0.0, 0.0, 0.0
-    mx, my, mz = sx / mass, sy / mass, sz / mass
-    l0, l1, l2, nx, ny, nz = smallest_axis(
-        sxx / mass - mx * mx,
-        sxy / mass - mx * my,
-        sxz / mass - mx * mz,
-        syy / mass - my * my,
-        syz / mass - my * mz,
-        szz / mass - mz * mz,
-    )
-    if l1 <= 0.0 or l0 > FLATNESS * l1 or l1 < BREADTH * l2:
-        return 0, 0.0, 0.0, 0.0, 0.0, 0.0
-    return n, nx, ny, nz, mx * nx + my * ny + mz * nz, max(l0, 0.0)
-
-
-@_jit
-def fit_surface(voxel, i, grid, wider, widest, update):  # type: ignore[no-untyped-def]
+def fit_surface(voxel, i, grid, wider, widest, update, room):  # type: ignore[no-untyped-def]
     """Fit the surface of one stored point, on its own level or on the next that shows one."""
     x, y, z = grid.store[voxel, i, 0], grid.store[voxel, i, 1], grid.store[voxel, i, 2]
     beam = grid.beam[voxel, i]
-    n, nx, ny, nz, offset, variance = fit_around(x, y, z, grid)
+    n, nx, ny, nz, offset, variance = fit_around(x, y, z, grid, room)
     if n == 0 or _edge_on(nx, ny, nz, beam):
-        n, nx, ny, nz, offset, variance = fit_around(x, y, z, wider)
+        n, nx, ny, nz, offset, variance = fit_around(x, y, z, wider, room)
         if n == 0 and widest.size > wider.size:
-            n, nx, ny, nz, offset, variance = fit_around(x, y, z, widest)
+            n, nx, ny, nz, offset, variance = fit_around(x, y, z, widest, room)
         if _edge_on(nx, ny, nz, beam):
             n = 0
     grid.kind[voxel, i] = PLANE if n > 0 else POINT
@@ -118,12 +59,43 @@ def _lasts(support):  # type: ignore[no-untyped-def]
 
 
 @_jit
+def _surface_of(x, y, z, grid, wider, widest, update, room):  # type: ignore[no-untyped-def]
+    """Stored point nearest to a place, its surface fitted as often as it is due.
+
+    Returns:
+        Voxel (-1 = none within one edge) and number in it.
+    """
+    voxel, i, _ = nearest(x, y, z, grid)
+    if voxel >= 0:
+        age = update - grid.fitted[voxel, i]
+        if grid.fitted[voxel, i] == 0 or age > _lasts(grid.support[voxel, i]):
+            fit_surface(voxel, i, grid, wider, widest, update, room)
+    return voxel, i
+
+
+@_jit
+def _on_plane(x, y, z, grid, voxel, i, slack):  # type: ignore[no-untyped-def]
+    """Whether a place lies on the surface of a stored point, if that is a plane."""
+    if voxel < 0 or grid.kind[voxel, i] != PLANE:
+        return False
+    off = -float(grid.surface[voxel, i, 3])
+    off += (x - grid.store[voxel, i, 0]) * grid.surface[voxel, i, 0]
+    off += (y - grid.store[voxel, i, 1]) * grid.surface[voxel, i, 1]
+    off += (z - grid.store[voxel, i, 2]) * grid.surface[voxel, i, 2]
+    return abs(off) < slack
+
+
+@_jit
 def associate(points, R, t, grid, wider, widest, update, kind, anchor, normal, var, born):  # type: ignore[no-untyped-def]
     """Surface of the map nearest to each moved point.
 
     The nearest stored point within one voxel edge brings its surface along. It is fitted when
     first needed and again after some updates of the map, so it does not follow the query point:
     a surface fitted around the query would creep along with it and slow the convergence down.
+
+    Where a lidar has few rings, a point that falls between old ones has no stored point so near.
+    If only those that happen to fall on old rings counted, the sensor would be held where rings
+    meet rings. So such a point is paired on the wider level, when it lies on a plane there.
 
     Args:
         points: (N, 3) float64, sensor frame; R, t move them into the map frame.
@@ -137,25 +109,29 @@ def associate(points, R, t, grid, wider, widest, update, kind, anchor, normal, v
         var: (N,) float64 out, variance of the map points across the plane, m^2.
         born: (N,) float64 out, age of the map, seconds, when that stored point was first seen.
     """
+    room = buffer(grid)
     for row in range(len(points)):
         px, py, pz = points[row, 0], points[row, 1], points[row, 2]
         x = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + t[0]
         y = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz + t[1]
         z = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2]
         kind[row] = NONE
-        voxel, i, _ = nearest(x, y, z, grid)
+        level = grid
+        voxel, i = _surface_of(x, y, z, grid, wider, widest, update, room)
+        if voxel < 0 and wider.size > grid.size and not grid.by_mass:
+            level = wider
+            voxel, i = _surface_of(x, y, z, wider, widest, widest, update, room)
+            if not _on_plane(x, y, z, wider, voxel, i, BETWEEN * grid.size):
+                continue
         if voxel < 0:
             continue
-        age = update - grid.fitted[voxel, i]
-        if grid.fitted[voxel, i] == 0 or age > _lasts(grid.support[voxel, i]):
-            fit_surface(voxel, i, grid, wider, widest, update)
-        kind[row] = grid.kind[voxel, i]
-        born[row] = grid.born[voxel, i]
-        offset = grid.surface[voxel, i, 3]
+        kind[row] = level.kind[voxel, i]
+        born[row] = level.born[voxel, i]
+        offset = level.surface[voxel, i, 3]
         for axis in range(3):
-            normal[row, axis] = grid.surface[voxel, i, axis]
-            anchor[row, axis] = grid.store[voxel, i, axis] + offset * normal[row, axis]
-        var[row] = grid.surface[voxel, i, 4]
+            normal[row, axis] = level.surface[voxel, i, axis]
+            anchor[row, axis] = level.store[voxel, i, axis] + offset * normal[row, axis]
+        var[row] = level.surface[voxel, i, 4]
 
 
 @_jit

@@ -9,9 +9,16 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
-from hybridreg_ros.core.eigen import smallest_axis
-from hybridreg_ros.odometry.align import BREADTH, FLATNESS, MIN_PLANE_POINTS, PLANE, associate
-from hybridreg_ros.odometry.voxelmap import EMPTY, find_slot, voxel_key
+from hybridreg_ros.odometry.align import PLANE
+from hybridreg_ros.odometry.planes import (
+    MIN_PLANE_POINTS,
+    around,
+    buffer,
+    is_plane,
+    keep_within,
+    plane_of,
+)
+from hybridreg_ros.odometry.surfaces import Surfaces
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -38,15 +45,11 @@ def lies_on_plane(
         slack_m: how far off the surface a point, and the points of the surface themselves (one
             standard deviation), may be, metres.
     """
-    n, placed = len(points), np.ascontiguousarray(points, np.float64)
-    kind, variance = np.zeros(n, np.int8), np.zeros(n)
-    anchor, normal = np.zeros((n, 3)), np.zeros((n, 3))
-    associate(
-        placed, np.eye(3), np.zeros(3), level.grid, level.grid, level.grid, update,
-        kind, anchor, normal, variance, np.zeros(n),
-    )  # fmt: skip
-    off = np.abs(np.einsum('ij,ij->i', placed - anchor, normal))
-    on: NDArray[np.bool_] = (kind == PLANE) & (variance < slack_m**2) & (off < slack_m)
+    placed, found = np.ascontiguousarray(points, np.float64), Surfaces(len(points))
+    found.search(placed, np.eye(4), (level, level, level), update)
+    found.measure(placed, np.eye(4))
+    thin = (found.kind == PLANE) & (found.variance < slack_m**2)
+    on: NDArray[np.bool_] = thin & (found.residual < slack_m)
     return on
 
 
@@ -79,62 +82,23 @@ def lies_on_backdrop(
 
 
 @_jit
-def _around(x, y, z, grid, found):  # type: ignore[no-untyped-def]
-    """Offsets of the stored points within one cube edge of a place into `found`; how many."""
-    centre = voxel_key(x, y, z, 1.0 / grid.size)
-    count = 0
-    if centre == EMPTY:
-        return 0
-    for di in range(-1, 2):
-        for dj in range(-1, 2):
-            for dk in range(-1, 2):
-                slot = find_slot(grid.table, centre + (di << 42) + (dj << 21) + dk)
-                if grid.table[slot] == EMPTY:
-                    continue
-                voxel = grid.slots[slot]
-                for i in range(grid.counts[voxel]):
-                    dx = grid.store[voxel, i, 0] - x
-                    dy = grid.store[voxel, i, 1] - y
-                    dz = grid.store[voxel, i, 2] - z
-                    if dx * dx + dy * dy + dz * dz <= grid.size * grid.size:
-                        found[count, 0], found[count, 1], found[count, 2] = dx, dy, dz
-                        count += 1
-    return count
-
-
-@_jit
 def _lie_on(places, sensor, slack, grid, up, least, out):  # type: ignore[no-untyped-def]
     """The kernel of `lies_on_backdrop`."""
-    around = np.empty((27 * grid.store.shape[1], 3))
+    found = buffer(grid)
     for row in range(len(places)):
         x, y, z = places[row, 0], places[row, 1], places[row, 2]
-        n = _around(x, y, z, grid, around)
+        n = around(x, y, z, grid, found)
+        found[:n, 3] = 1.0  # feet that stand there for long have the mass of a floor
         for _ in range(_ROUNDS):
             if n < MIN_PLANE_POINTS:
                 break
-            mx, my, mz = 0.0, 0.0, 0.0
-            for i in range(n):
-                mx, my, mz = mx + around[i, 0], my + around[i, 1], mz + around[i, 2]
-            mx, my, mz = mx / n, my / n, mz / n
-            xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for i in range(n):
-                dx, dy, dz = around[i, 0] - mx, around[i, 1] - my, around[i, 2] - mz
-                xx, xy, xz = xx + dx * dx, xy + dx * dy, xz + dx * dz
-                yy, yz, zz = yy + dy * dy, yz + dy * dz, zz + dz * dz
-            l0, l1, l2, nx, ny, nz = smallest_axis(xx / n, xy / n, xz / n, yy / n, yz / n, zz / n)
+            l0, l1, l2, nx, ny, nz, offset = plane_of(found, n)
             if nx * (sensor[0] - x) + ny * (sensor[1] - y) + nz * (sensor[2] - z) < 0.0:
-                nx, ny, nz = -nx, -ny, -nz
-            offset = mx * nx + my * ny + mz * nz
-            kept = 0
-            for i in range(n):
-                if around[i, 0] * nx + around[i, 1] * ny + around[i, 2] * nz - offset < slack:
-                    around[kept, 0], around[kept, 1], around[kept, 2] = (
-                        around[i, 0], around[i, 1], around[i, 2],
-                    )  # fmt: skip
-                    kept += 1
+                nx, ny, nz, offset = -nx, -ny, -nz, -offset
+            kept = keep_within(found, n, nx, ny, nz, -np.inf, offset + slack)
             if kept == n:
-                flat = l1 > 0.0 and l0 < FLATNESS * l1 and l1 > BREADTH * l2
                 upright = abs(nx * up[0] + ny * up[1] + nz * up[2]) >= least
-                out[row] = flat and upright and l0 < slack * slack and abs(offset) < slack
+                thin = l0 < slack * slack and abs(offset) < slack
+                out[row] = upright and thin and is_plane(l0, l1, l2)
                 break
             n = kept

@@ -62,7 +62,8 @@ class Dynamics:
     """Per-point P(dynamic) without a network; sharpened by one when there is one.
 
     A point that stands where two earlier scans saw through is something that came: a seed. Seeds
-    grow to whole things (`objects`), but not over large planes (floors, walls). A cell that was
+    grow to whole things (`objects`), but not over large planes (floors, walls), nor what lies on
+    the surface behind (`backdrop`); ground that a bent scan has raised is no seed. A cell that was
     dynamic keeps a fading part of it. A point in a direction or behind a surface where no scan saw
     anything is new: it moves only when the thing that it belongs to does.
 

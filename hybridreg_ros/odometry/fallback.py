@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,6 +33,10 @@ _GUESS_POINTS = 400
 _NEAREST = 0.2
 """Partners are looked for at least so far away (standard deviation, in voxels): stored points
 keep a distance from each other."""
+_SAME = 0.5
+"""Poses nearer to each other, in voxels and degrees, are refined to the same one."""
+_OFF_RINGS = 2
+"""Pairings on the coarse level that get a lidar off old rings (four do no better)."""
 
 
 class Fallback:
@@ -72,7 +77,6 @@ class Fallback:
         weights: NDArray[np.floating] | None = None,
         basin: Basin = 'fine',
         prior: Expected | None = None,
-        near: bool = False,
     ) -> Fit:
         """Pose of a cloud near a guess.
 
@@ -82,23 +86,83 @@ class Fallback:
             weights: (K,) trust per registered point, or None.
             basin: level on which the refinement starts.
             prior: what the motion so far says, or None.
-            near: look for partners no farther than predictions have been off of late.
 
         Raises:
             RegistrationError: kiss-icp cannot register these points.
         """
+        pose = self._aligned(cloud, guess, weights)
+        return self._refined(cloud, pose, weights, basin, prior)
+
+    def follow_near(
+        self,
+        cloud: Cloud,
+        guess: F64,
+        weights: NDArray[np.floating] | None,
+        prior: Expected,
+        known: F64,
+    ) -> Fit | None:
+        """The same, with partners no farther than predictions have been off of late.
+
+        Args:
+            cloud: the preprocessed scan.
+            guess: (4, 4) pose to start from.
+            weights: (K,) trust per registered point, or None.
+            prior: what the motion so far says.
+            known: (4, 4) pose that has been found already.
+
+        Returns:
+            Its outcome; None when kiss-icp brings a lidar to the known pose, whose refinement is
+            the dearest of all.
+
+        Raises:
+            RegistrationError: kiss-icp cannot register these points.
+        """
+        reach_m = max(prior.shift_m, _NEAREST * self._voxel_m)
+        pose = self._aligned(cloud, guess, weights, reach_m)
+        off = se3.inverse(known) @ pose
+        shift = float(np.linalg.norm(off[:3, 3])) / (_SAME * self._map.fine.size_m)
+        same = max(shift, se3.rotation_angle_deg(off[:3, :3]) / _SAME) < 1.0
+        if same and not self._map.noisy:
+            return None
+        return self._refined(cloud, pose, weights, 'fine', prior)
+
+    def _aligned(
+        self,
+        cloud: Cloud,
+        guess: F64,
+        weights: NDArray[np.floating] | None,
+        reach_m: float | None = None,
+    ) -> F64:
+        """Pose (4, 4) by kiss-icp alone."""
         self._copy_map()
         points, section = cloud.icp_points, self._config.fallback
         trusted = points if weights is None else points[weights > 0.5]
         some = trusted[first_per_voxel(trusted, section.thinning * self._voxel_m)]
         some = some[:: max(1, -(-len(some) // section.max_points))]
-        reach_m = None
-        if near and prior is not None:
-            reach_m = max(prior.shift_m, _NEAREST * self._voxel_m)
-        pose = self._kiss.align(some, guess, reach_m)
-        if section.polish:
-            return settle(cloud, pose, self._map, self._config.refine, weights, basin, prior)
-        return assess(points, pose, self._map, self._config.refine, weights)
+        return self._kiss.align(some, guess, reach_m)
+
+    def _refined(
+        self,
+        cloud: Cloud,
+        pose: F64,
+        weights: NDArray[np.floating] | None,
+        basin: Basin,
+        prior: Expected | None,
+    ) -> Fit:
+        """A pose of kiss-icp laid on the surfaces of the map.
+
+        It pairs points with points, so it lays the rings of a lidar on old rings. From there no
+        surface of the fine level gets them off again; one of the coarse level does.
+        """
+        points, settings = cloud.icp_points, self._config.refine
+        if not self._config.fallback.polish:
+            return assess(points, pose, self._map, settings, weights)
+        if basin == 'fine' and not self._map.noisy:
+            few = replace(
+                settings, max_iterations=_OFF_RINGS, coarse_points=settings.coarse_points // 2
+            )
+            pose = pull_in(points, pose, self._map, few, weights, 'coarse')
+        return settle(cloud, pose, self._map, settings, weights, basin, prior)
 
     def locate(
         self,

@@ -126,6 +126,7 @@ class LocalMap:
     Attributes:
         changes: how often its points changed.
         updates: how often points were added.
+        noisy: as given.
         age_s: seconds from its first points to its last ones, on a clock that never goes back.
     """
 
@@ -141,6 +142,7 @@ class LocalMap:
         self.fine, self.middle, self.coarse = (
             VoxelLevel(size, points_per_voxel, noisy) for size in sizes
         )
+        self.noisy = noisy
         self._reach_m = reach_m
         self._pruned_at = np.full(3, np.inf)
         self.changes = 0

@@ -193,11 +193,13 @@ class Locator:
         next shelf as well. So a pose far off the prediction must be better than what is found
         close to it.
         """
-        follow = partial(self._fallback.follow, cloud, predicted, trust, prior=self._prior)
-        wide = _tried(follow, check)
-        if wide is None or not self._is_far(wide.fit.T_odom_sensor):
+        prior = self._prior
+        wide = _tried(partial(self._fallback.follow, cloud, predicted, trust, prior=prior), check)
+        if prior is None or wide is None or not self._is_far(wide.fit.T_odom_sensor):
             return wide
-        return better(wide, _tried(partial(follow, near=True), check))
+        known = wide.fit.T_odom_sensor
+        near = partial(self._fallback.follow_near, cloud, predicted, trust, prior, known)
+        return better(wide, _tried(near, check))
 
     def _is_far(self, pose: F64) -> bool:
         """Whether a pose (4, 4) is far off the expected one for what predictions have been."""
@@ -297,10 +299,11 @@ class Locator:
         return candidate
 
 
-def _tried(way: Callable[[], Fit], check: Callable[[Fit], Candidate]) -> Candidate | None:
-    """Outcome of one way to register, judged; None when it cannot."""
+def _tried(way: Callable[[], Fit | None], check: Callable[[Fit], Candidate]) -> Candidate | None:
+    """Outcome of one way to register, judged; None when it cannot, or finds nothing new."""
     try:
-        return check(way())
+        fit = way()
+        return None if fit is None else check(fit)
     except RegistrationError as error:
         _log.debug('fallback: %s', error)
         return None

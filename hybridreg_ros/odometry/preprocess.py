@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.config import OdometryConfig, PreprocessConfig
 
 _VOXEL_PER_RANGE = {'depth': 0.022, 'lidar': 0.035}
+_DIRECTION = 0.035
+"""Edge of the cells, on the unit sphere, within which directions count as one: two degrees."""
 _LONGEST_SCAN_S = 1.0
 _NOISE_RANGE_SQ = 2.0
 """Squared range, m^2, up to which the pose rather than the noise of a depth camera limits what a
@@ -73,12 +75,32 @@ def recognise_sensor(points: NDArray[np.float32], config: OdometryConfig) -> Sen
     low, high = _DEFAULT_RANGES_M[kind]
     low = config.preprocess.min_range_m or low
     high = config.preprocess.max_range_m or high
-    inside_limits = ranges[(ranges > low) & (ranges < high)]
-    median = float(np.median(inside_limits)) if len(inside_limits) else 0.1 * high
+    inside_limits = (ranges > low) & (ranges < high)
+    usual = 0.1 * high
+    if inside_limits.any():
+        of_points = float(np.median(ranges[inside_limits]))
+        usual = usual_range(some[inside_limits]) if kind == 'lidar' else of_points
     voxel = config.voxel_size_m or round(
-        float(np.clip(_VOXEL_PER_RANGE[kind] * median, 0.02, 1.0)), 3
+        float(np.clip(_VOXEL_PER_RANGE[kind] * usual, 0.02, 1.0)), 3
     )
     return SensorModel(kind, voxel, low, high)
+
+
+def usual_range(points: NDArray[np.float64]) -> float:
+    """Median range of points (N, 3), sensor frame, metres, in which every direction counts alike.
+
+    As the sensor measures, each direction has as many points as any other. Of a cloud that was
+    thinned by cubes afterwards, most points are far away, though most directions are not.
+
+    Args:
+        points: N > 0, none of them at the sensor.
+    """
+    ranges = np.linalg.norm(points, axis=1)
+    everywhere = np.ones(len(points), np.bool_)
+    *_, counts, cell = occupied(points / ranges[:, None], _DIRECTION, everywhere)
+    order = np.argsort(ranges)
+    share = np.cumsum(1.0 / counts[cell[order]])
+    return float(ranges[order[np.searchsorted(share, 0.5 * share[-1])]])
 
 
 def preprocess(

@@ -96,7 +96,8 @@ def _deskewed(frames: list[SuiteFrame]) -> list[SuiteFrame]:
     """Frames with the motion from stamp to stamp undone, and no times."""
     done = []
     for k, frame in enumerate(frames):
-        assert frame.scan.times is not None
+        if frame.scan.times is None:
+            raise FileFormatError(f'frame {k}: no times per point, so no motion can be undone')
         a, b = (frame, frames[k + 1]) if k + 1 < len(frames) else (frames[k - 1], frame)
         dt = (b.scan.stamp - a.scan.stamp) / NS_PER_S
         twist = se3.log(se3.inverse(a.T_world_sensor) @ b.T_world_sensor) / dt

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tiny_world import ROOM, Ball, cast, depth_rays, lidar_rays, pose, walk
+from tiny_world import ROOM, Ball, Box, cast, depth_rays, lidar_rays, pose, walk
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import NS_PER_S, Scan
@@ -35,6 +35,7 @@ from hybridreg_ros.odometry.preprocess import (
 from hybridreg_ros.odometry.rangeimage import BEHIND, FRONT, ON, UNSEEN, RangeImage, view_of
 from hybridreg_ros.odometry.refine import assess, refine
 from hybridreg_ros.odometry.result import LOST_VARIANCE, Reason
+from hybridreg_ros.odometry.thinning import first_per_voxel
 
 CLOUD = cast(ROOM, pose(-1.0, -0.5, 0.0), lidar_rays(360, 40))[0]
 
@@ -149,6 +150,16 @@ def test_sensor_is_recognised_and_config_overrules() -> None:
     )
     assert recognise_sensor(ahead, given).voxel_size_m == 0.5
     assert recognise_sensor(ahead, given).max_range_m == 30.0
+
+
+def test_voxel_hardly_grows_when_the_cloud_was_thinned_by_cubes() -> None:
+    hall = (Box((-60.0, -25.0, 0.0), (60.0, 25.0, 8.0), inside=True),)
+    raw = cast(hall, pose(1.0, -1.0, 0.0), lidar_rays(1080, 64))[0]
+    thinned = raw[first_per_voxel(raw, 0.3)]
+    of_points = [float(np.median(np.linalg.norm(points, axis=1))) for points in (raw, thinned)]
+    sizes = [recognise_sensor(points, OdometryConfig()).voxel_size_m for points in (raw, thinned)]
+    assert of_points[1] > 1.7 * of_points[0]  # so much larger it would be by the points
+    assert sizes[0] < sizes[1] < 1.4 * sizes[0]
 
 
 def test_preprocess_limits_ranges_and_thins_in_nested_steps() -> None:

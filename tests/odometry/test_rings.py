@@ -10,10 +10,12 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import Scan
 from hybridreg_ros.odometry.align import PLANE
 from hybridreg_ros.odometry.frontend import HybridOdometry
-from hybridreg_ros.odometry.localmap import LocalMap
+from hybridreg_ros.odometry.localmap import LocalMap, VoxelLevel
+from hybridreg_ros.odometry.planes import buffer, fit_around
 from hybridreg_ros.odometry.surfaces import Surfaces
 
 HEIGHT_M = 1.2
+RINGS_M = np.arange(-1.0, 4.0, 0.7)
 STEP_M = 0.07
 TRUNKS = np.random.default_rng(3).uniform([-14.0, -14.0, 0.12], [14.0, 14.0, 0.35], (12, 3))
 
@@ -73,3 +75,32 @@ def test_ground_between_far_rings_is_a_surface() -> None:
     planes = found.kind == PLANE
     assert planes.mean() > 0.8
     assert np.quantile(np.abs(found.normal[planes, 2]), 0.05) > 0.98
+
+
+def test_points_between_far_rings_are_paired_with_the_wall_that_these_show() -> None:
+    y = np.arange(-6.0, 6.0, 0.05)
+    wall = np.concatenate([np.c_[np.full_like(y, 20.0), y, np.full_like(y, z)] for z in RINGS_M])
+    local_map = LocalMap(0.2, 100.0, 20, 8.0)
+    local_map.update(wall, np.zeros(3))
+    between = wall[np.abs(wall[:, 1]) < 5.0] + [0.0, 0.0, 0.35]  # half way to the next ring
+    found = Surfaces(len(between))
+    for off_m, paired in ((0.0, True), (0.05, True), (0.3, False)):
+        found.search(between - [off_m, 0, 0], np.eye(4), local_map.of_surfaces, local_map.updates)
+        found.measure(between - [off_m, 0.0, 0.0], np.eye(4))
+        assert (found.kind == PLANE).mean() > 0.8 if paired else (found.kind != PLANE).all()
+        if paired:
+            np.testing.assert_allclose(found.residual[found.kind == PLANE], off_m, atol=0.01)
+
+
+def test_what_lies_off_a_plane_does_not_bend_it() -> None:
+    rng = np.random.default_rng(2)
+    ground = np.c_[rng.uniform(-2.0, 2.0, (1500, 2)), rng.normal(0.0, 0.01, 1500)]
+    feet = np.c_[rng.normal([0.4, 0.0], 0.1, (40, 2)), rng.uniform(0.05, 0.4, 40)]
+    level = VoxelLevel(0.8, 20)
+    both = np.concatenate([ground, feet])
+    level.add(both, np.ones(len(both)), np.array([0.0, 0.0, 1.5]), 0.0)
+    n, _, _, nz, offset, variance = fit_around(0.0, 0.0, 0.0, level.grid, buffer(level.grid))
+    assert n > 50
+    assert abs(nz) > np.cos(np.deg2rad(1.5))
+    assert abs(offset) < 0.01
+    assert variance**0.5 < 0.02

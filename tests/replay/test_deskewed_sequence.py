@@ -8,8 +8,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pytest
 
 from hybridreg_ros.core import se3
+from hybridreg_ros.core.errors import FileFormatError
 from hybridreg_ros.replay import suite_data
 from hybridreg_ros.replay.suite_list import SEQUENCES
 
@@ -46,3 +48,14 @@ def test_deskewed_points_lie_where_the_still_world_is(tmp_path: Path) -> None:
         assert np.abs(placed - world[k]).max() < 1e-3
         smeared = se3.apply(skewed.T_world_sensor, skewed.scan.points)
         assert np.abs(smeared - world[k]).max() > 0.5
+
+
+def test_without_times_no_motion_can_be_undone(tmp_path: Path) -> None:
+    np.savez(
+        tmp_path / 'street_8301_none_2.npz', stamps=np.arange(2) * 100_000_000,
+        poses=np.stack([np.eye(4)] * 2), sizes=np.full(2, 5), points=np.ones((10, 3), np.float32),
+        moving=np.zeros(10, bool), times=np.zeros(0),
+    )  # fmt: skip
+    plain = replace(SEQUENCES['dev-street-plain-8301'], frames=2)
+    with pytest.raises(FileFormatError, match='no times per point'):
+        suite_data.load(plain, tmp_path, tmp_path)

@@ -97,7 +97,9 @@ def _deskewed(frames: list[SuiteFrame]) -> list[SuiteFrame]:
     done = []
     for k, frame in enumerate(frames):
         if frame.scan.times is None:
-            raise FileFormatError(f'frame {k}: no times per point, so no motion can be undone')
+            raise FileFormatError(
+                f'frame {k}: no times per point, so no motion can be undone: leave out `deskewed`'
+            )
         a, b = (frame, frames[k + 1]) if k + 1 < len(frames) else (frames[k - 1], frame)
         dt = (b.scan.stamp - a.scan.stamp) / NS_PER_S
         twist = se3.log(se3.inverse(a.T_world_sensor) @ b.T_world_sensor) / dt

@@ -175,8 +175,9 @@ class FallbackConfig(Section):
     )
     good: float = option(0.9, 'the same once a second guess has been tried', low=0.0, high=1.0)
     accept: float = option(
-        0.3, 'a pose of lower confidence counts as a bad frame', low=0.0, high=1.0
-    )
+        0.3, 'a pose of lower confidence counts as a bad frame, and is taken only where it is as '
+        'the motion leads one to expect', low=0.0, high=1.0,
+    )  # fmt: skip
     turns_deg: tuple[float, ...] = option(
         (20.0, 40.0, 60.0), 'turns of the guesses of a wide search, degrees', low=0.1, high=180.0
     )

@@ -99,7 +99,8 @@ class Fallback:
         guess: F64,
         weights: NDArray[np.floating] | None,
         prior: Expected,
-        known: F64,
+        reach_m: float,
+        known: F64 | None,
     ) -> Fit | None:
         """The same, with partners no farther than predictions have been off of late.
 
@@ -108,7 +109,8 @@ class Fallback:
             guess: (4, 4) pose to start from.
             weights: (K,) trust per registered point, or None.
             prior: what the motion so far says.
-            known: (4, 4) pose that has been found already.
+            reach_m: how far predictions have been off of late, metres.
+            known: (4, 4) pose that has been found already, or None.
 
         Returns:
             Its outcome; None when kiss-icp brings a lidar to the known pose, whose refinement is
@@ -117,12 +119,8 @@ class Fallback:
         Raises:
             RegistrationError: kiss-icp cannot register these points.
         """
-        reach_m = max(prior.shift_m, _NEAREST * self._voxel_m)
-        pose = self._aligned(cloud, guess, weights, reach_m)
-        off = se3.inverse(known) @ pose
-        shift = float(np.linalg.norm(off[:3, 3])) / (_SAME * self._map.fine.size_m)
-        same = max(shift, se3.rotation_angle_deg(off[:3, :3]) / _SAME) < 1.0
-        if same and not self._map.noisy:
+        pose = self._aligned(cloud, guess, weights, max(reach_m, _NEAREST * self._voxel_m))
+        if known is not None and not self._map.noisy and self._are_same(known, pose):
             return None
         return self._refined(cloud, pose, weights, 'fine', prior)
 
@@ -163,6 +161,12 @@ class Fallback:
             )
             pose = pull_in(points, pose, self._map, few, weights, 'coarse')
         return settle(cloud, pose, self._map, settings, weights, basin, prior)
+
+    def _are_same(self, one: F64, other: F64) -> bool:
+        """Whether the refinement leads from both poses to the same one."""
+        off = se3.inverse(one) @ other
+        shift = float(np.linalg.norm(off[:3, 3])) / (_SAME * self._map.fine.size_m)
+        return max(shift, se3.rotation_angle_deg(off[:3, :3]) / _SAME) < 1.0
 
     def locate(
         self,

@@ -4,16 +4,20 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.odometry.claim import log_odds
 from hybridreg_ros.odometry.confidence import FIRM, of_evidence, weakness
 from hybridreg_ros.odometry.result import Reason, Source
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from hybridreg_ros.odometry.confidence import Evidence, Verdict
@@ -22,6 +26,8 @@ if TYPE_CHECKING:
 
     F64 = NDArray[np.float64]
     F32 = NDArray[np.float32]
+
+_log = logging.getLogger(__name__)
 
 AGAINST = 3.0
 """Log odds that a pose loses per tenfold distance from the predicted one, beyond what is usual: as
@@ -125,3 +131,13 @@ def better(one: Candidate | None, other: Candidate | None) -> Candidate | None:
     if one is None or other is None:
         return one or other
     return other if other.rank > one.rank else one
+
+
+def tried(way: Callable[[], Fit | None], check: Callable[[Fit], Candidate]) -> Candidate | None:
+    """Outcome of one way to register, judged; None when it cannot, or finds nothing new."""
+    try:
+        fit = way()
+        return None if fit is None else check(fit)
+    except RegistrationError as error:
+        _log.debug('fallback: %s', error)
+        return None

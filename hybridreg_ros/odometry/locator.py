@@ -4,18 +4,16 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.odometry import claim, covariance, located
 from hybridreg_ros.odometry.confidence import Evidence, Gate, Verdict, judge, weakness
 from hybridreg_ros.odometry.fallback import Fallback
-from hybridreg_ros.odometry.located import Candidate, Located, better, located_by_kiss
+from hybridreg_ros.odometry.located import Candidate, Located, better, located_by_kiss, tried
 from hybridreg_ros.odometry.result import Reason, Source
 from hybridreg_ros.odometry.settle import settle
 
@@ -37,8 +35,6 @@ if TYPE_CHECKING:
 
     F64 = NDArray[np.float64]
     F32 = NDArray[np.float32]
-
-_log = logging.getLogger(__name__)
 
 _HEED = np.array([4.0, 2.0])
 """Factors on the spread of shift and turn that the motion so far had, before a pose is held by it:
@@ -96,6 +92,7 @@ class Locator:
         )
         self._rigour = _TOLD_AGAIN[sensor.kind]
         self._prior: Expected | None = None
+        self._reach_m: float | None = None
         self.learn = self._fallback.learn
         self.judged: list[Candidate] = []
 
@@ -118,6 +115,7 @@ class Locator:
         """
         self.judged = []
         self._prior = expected.widened(*(_HEED / self._rigour))
+        self._reach_m = min(expected.shift_m, self._prior.shift_m)
         predicted = expected.pose
         check = partial(self._judged, cloud, trust, expected)
         guesses = [predicted, last]
@@ -161,7 +159,7 @@ class Locator:
             last: (4, 4) last pose before the loss.
         """
         trust = np.ones(len(cloud.icp_rows), np.float32)
-        self.judged, self._prior = [], None
+        self.judged, self._prior, self._reach_m = [], None, None
         check = partial(self._judged, cloud, trust, None)
         found = self._by_fallback(cloud, [last], trust, check, Reason.RECOVERED)
         if isinstance(found, Located) and found.confidence >= self._config.fallback.good:
@@ -193,13 +191,22 @@ class Locator:
         next shelf as well. So a pose far off the prediction must be better than what is found
         close to it.
         """
-        prior = self._prior
-        wide = _tried(partial(self._fallback.follow, cloud, predicted, trust, prior=prior), check)
-        if prior is None or wide is None or not self._is_far(wide.fit.T_odom_sensor):
+        wide = tried(
+            partial(self._fallback.follow, cloud, predicted, trust, prior=self._prior), check
+        )
+        if wide is None or not self._is_far(wide.fit.T_odom_sensor):
             return wide
-        known = wide.fit.T_odom_sensor
-        near = partial(self._fallback.follow_near, cloud, predicted, trust, prior, known)
-        return better(wide, _tried(near, check))
+        return better(wide, tried(self._near(cloud, predicted, trust, wide), check))
+
+    def _near(
+        self, cloud: Cloud, predicted: F64, trust: F32, known: Candidate | None
+    ) -> Callable[[], Fit | None]:
+        """Way to register close to the prediction; it leads to nothing the second time."""
+        prior, reach_m, self._reach_m = self._prior, self._reach_m, None
+        if prior is None or reach_m is None:
+            return lambda: None
+        pose = None if known is None else known.fit.T_odom_sensor
+        return partial(self._fallback.follow_near, cloud, predicted, trust, prior, reach_m, pose)
 
     def _is_far(self, pose: F64) -> bool:
         """Whether a pose (4, 4) is far off the expected one for what predictions have been."""
@@ -253,8 +260,8 @@ class Locator:
         section = self._config.fallback
         best = first or self._followed(cloud, guesses[0], trust, check)
         if best is None or not self._without_doubt(best.verdict.confidence, best.evidence):
-            for way in self._other_ways(cloud, guesses, trust):
-                best = better(best, _tried(way, check))
+            for way in self._other_ways(cloud, guesses, trust, best):
+                best = better(best, tried(way, check))
                 if best is not None and best.verdict.confidence >= section.good:
                     break
         if best is None:
@@ -262,14 +269,21 @@ class Locator:
         if best.verdict.fault is not None:
             return best.verdict.fault
         if best.verdict.confidence < section.accept:
-            return Reason.LOW_CONFIDENCE
+            reason = Reason.LOW_CONFIDENCE
+            if best.surprise >= 0.0:  # one as expected is no worse than the prediction itself
+                return reason
         return located_by_kiss(best, reason)
 
     def _other_ways(
-        self, cloud: Cloud, guesses: Sequence[F64], trust: F32
-    ) -> Iterator[Callable[[], Fit]]:
-        """Ways to register without a network where following the prediction leaves doubt."""
+        self, cloud: Cloud, guesses: Sequence[F64], trust: F32, first: Candidate | None
+    ) -> Iterator[Callable[[], Fit | None]]:
+        """Ways to register without a network where following the prediction leaves doubt.
+
+        A crowd that comes into view draws kiss-icp away from the pose by more than predictions
+        are usually off, and every guess ends there then; with near partners alone it does not.
+        """
         fallback, prior = self._fallback, self._prior
+        yield self._near(cloud, guesses[0], trust, first)
         yield partial(fallback.locate, cloud, guesses, trust, prior)
         for guess in fallback.search(cloud, guesses[0]):
             yield partial(fallback.locate, cloud, [guess], trust)
@@ -297,13 +311,3 @@ class Locator:
         candidate = Candidate(fit, evidence, verdict, reported, off, order)
         self.judged.append(candidate)
         return candidate
-
-
-def _tried(way: Callable[[], Fit | None], check: Callable[[Fit], Candidate]) -> Candidate | None:
-    """Outcome of one way to register, judged; None when it cannot, or finds nothing new."""
-    try:
-        fit = way()
-        return None if fit is None else check(fit)
-    except RegistrationError as error:
-        _log.debug('fallback: %s', error)
-        return None

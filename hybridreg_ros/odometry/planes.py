@@ -149,8 +149,8 @@ def fit_around(x, y, z, grid, found):  # type: ignore[no-untyped-def]
             kept = keep_within(found, n, nx, ny, nz, offset - slack, offset + slack)
             if kept == n or kept < least:
                 break
-            l0, l1, l2, ax, ay, az, middle = plane_of(found, kept)
-            if not is_plane(l0, l1, l2):
+            v0, v1, v2, ax, ay, az, middle = plane_of(found, kept)
+            if not is_plane(v0, v1, v2):
                 break
-            n, nx, ny, nz, offset = kept, ax, ay, az, middle
+            n, nx, ny, nz, offset, l0 = kept, ax, ay, az, middle, v0
     return n, nx, ny, nz, offset, max(l0, 0.0)

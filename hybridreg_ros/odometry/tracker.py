@@ -115,6 +115,8 @@ class Tracker:
             cloud, predicted, found = self._opened(cloud, stamp, found, watch)
         self._opening = None
         watch.lap('refine')
+        if isinstance(found, Located) and self._is_last_straw(found):
+            found = found.reason
         if isinstance(found, Located):
             return self._accept(cloud, stamp, predicted, found, watch)
         if self.lost and self._give_up():
@@ -125,6 +127,15 @@ class Tracker:
     def judged(self) -> list[Candidate]:
         """Every pose that was considered for the last cloud."""
         return self._locator.judged
+
+    def _is_doubtful(self, found: Located) -> bool:
+        """Whether a pose was taken only because it is as expected: its frame is a bad one."""
+        return found.evident < self._config.fallback.accept
+
+    def _is_last_straw(self, found: Located) -> bool:
+        """Whether a doubtful pose comes after too many bad frames to be taken."""
+        left = self._config.lost.after_bad_frames - self._bad_frames
+        return left <= 1 and self._is_doubtful(found)
 
     def _opens(self, cloud: Cloud, stamp: int) -> bool:
         """Whether this is the second scan of a map whose first one was taken to stand still."""
@@ -188,7 +199,8 @@ class Tracker:
                 self._trail.leave(entered, pose, sway, stamp)
             else:
                 self._hold(pose, stamp)
-        self.lost, self._bad_frames, self._lost_scans = False, 0, 0
+        self.lost, self._lost_scans = False, 0
+        self._bad_frames = self._bad_frames + 1 if self._is_doubtful(found) else 0
         self.source = found.source
         section = self._config.covariance
         factor = section.scale or calibration.packaged().covariance_scale[self.sensor.kind]

@@ -8,8 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tiny_world import lidar_rays, pose, scans, walk
+from tiny_world import depth_rays, lidar_rays, pose, scans, walk
 
+from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import NS_PER_S, Scan
 from hybridreg_ros.odometry.config import LostConfig, OdometryConfig
 from hybridreg_ros.odometry.frontend import HybridOdometry
@@ -79,6 +80,33 @@ def test_covered_sensor_is_lost_and_recovers_where_it_is() -> None:
     assert results[9].source is Source.KISS_ICP
     assert np.linalg.norm(results[9].pose[:3, 3] - results[4].pose[:3, 3]) < 0.05
     assert results[-1].confidence > 0.9
+
+
+def with_crowd(scan: Scan, seed: int) -> Scan:
+    """The scan with something rough close in front of the left half of the view."""
+    rng = np.random.default_rng(seed)
+    points = scan.points.copy()
+    bearing = points[:, 1] / points[:, 0]
+    hidden = bearing < np.median(bearing)
+    points[hidden] *= rng.uniform(0.5, 0.6, (hidden.sum(), 1))
+    return with_points(scan, points)
+
+
+def test_a_crowd_that_comes_at_once_is_doubted_but_not_lost() -> None:
+    poses, faster = walk(6), walk(7, step_m=0.1)
+    poses += [poses[-1] @ se3.inverse(faster[0]) @ T for T in faster[1:]]
+    clouds = scans(poses, depth_rays())
+    clouds[6:] = [with_crowd(scan, k) for k, scan in enumerate(clouds[6:])]
+    results = run(clouds)
+    assert results[6].confidence < 0.3
+    assert results[6].reason is Reason.LOW_CONFIDENCE
+    assert min(r.confidence for r in results[7:]) > 0.9
+    start = se3.inverse(poses[0])
+    for k in range(6, len(poses)):  # one that coasts is 2 cm off after the first step
+        off = se3.inverse(start @ poses[k]) @ results[k].pose
+        assert np.linalg.norm(off[:3, 3]) < 0.005
+    lost = run(clouds[:7], OdometryConfig(lost=LostConfig(after_bad_frames=1)))
+    assert is_lost(lost[-1])
 
 
 def test_teleport_is_lost_then_starts_a_new_map_and_says_so() -> None:

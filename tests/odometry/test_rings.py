@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import Scan
@@ -17,7 +18,15 @@ from hybridreg_ros.odometry.surfaces import Surfaces
 HEIGHT_M = 1.2
 RINGS_M = np.arange(-1.0, 4.0, 0.7)
 STEP_M = 0.07
-TRUNKS = np.random.default_rng(3).uniform([-14.0, -14.0, 0.12], [14.0, 14.0, 0.35], (12, 3))
+
+
+def some_trunks(seed: int, count: int) -> np.ndarray:
+    """Tree trunks: x, y of the axis and radius, (count, 3), metres."""
+    low, high = [-14.0, -14.0, 0.12], [14.0, 14.0, 0.35]
+    return np.random.default_rng(seed).uniform(low, high, (count, 3))
+
+
+TRUNKS = some_trunks(3, 12)
 
 
 def ring_scan(
@@ -41,12 +50,15 @@ def ring_scan(
     return (beams * ranges[..., None])[(far < 50.0) & (far > 0.5)].astype(np.float32)
 
 
-def test_a_slow_sensor_with_few_rings_is_seen_to_move() -> None:
+@pytest.mark.parametrize('seed', range(3, 9))
+def test_a_slow_sensor_with_few_rings_is_seen_to_move(seed: int) -> None:
+    trunks = some_trunks(seed, 40)
     odometry = HybridOdometry(model=None)
     for k in range(12):
-        result = odometry.step(Scan(ring_scan(STEP_M * k, k), stamp=k * 100_000_000))
+        scan = ring_scan(STEP_M * k, 100 * seed + k, trunks)
+        result = odometry.step(Scan(scan, stamp=k * 100_000_000))
     moved = result.pose[:3, 3]
-    assert abs(moved[0] - 11 * STEP_M) < 0.1 * 11 * STEP_M
+    assert abs(moved[0] - 11 * STEP_M) < 0.05 * 11 * STEP_M
     assert np.abs(moved[1:]).max() < 0.05
     assert se3.rotation_angle_deg(result.pose[:3, :3]) < 0.5
 
@@ -104,3 +116,14 @@ def test_what_lies_off_a_plane_does_not_bend_it() -> None:
     assert abs(nz) > np.cos(np.deg2rad(1.5))
     assert abs(offset) < 0.01
     assert variance**0.5 < 0.02
+
+
+def test_a_plane_keeps_its_variance_where_what_is_left_of_it_is_none() -> None:
+    """Without the two points off a row of others there would be a line."""
+    row = np.c_[np.linspace(-0.6, 0.6, 7), np.zeros((7, 2))]
+    off = np.array([[0.0, 0.5, 0.15], [0.0, 0.5, -0.15]])
+    level = VoxelLevel(0.8, 20)
+    level.add(np.concatenate([row, off]), np.ones(9), np.array([0.0, 0.0, 1.5]), 0.0)
+    n, _, _, nz, _, variance = fit_around(0.0, 0.0, 0.0, level.grid, buffer(level.grid))
+    assert (n, abs(nz)) == (9, pytest.approx(1.0))
+    assert variance == pytest.approx(2 * 0.15**2 / 9, rel=1e-3)

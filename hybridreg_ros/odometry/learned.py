@@ -77,7 +77,8 @@ class LearnedBranch:
 
     Args:
         registrar: the network.
-        memory: keyframes whose encoding is kept.
+        memory: keyframes whose encoding is kept, those that were asked for last. That of a lidar
+            scan of 64 beams takes 10 MB.
     """
 
     def __init__(self, registrar: Registrar, memory: int) -> None:
@@ -94,13 +95,17 @@ class LearnedBranch:
     def adopt(self, keyframe: Keyframe) -> None:
         """The current scan has become this keyframe: keep its encoding if there is one."""
         if self._encoding is not None:
-            self._keyframes[keyframe.number] = self._encoding
-        while len(self._keyframes) > self._memory:
-            del self._keyframes[min(self._keyframes)]
+            self._keep(keyframe, self._encoding)
 
     def forget(self, keyframe: Keyframe) -> None:
         """A keyframe has changed: encode it anew when it is matched next."""
         self._keyframes.pop(keyframe.number, None)
+
+    def _keep(self, keyframe: Keyframe, encoding: Any) -> None:
+        """Keep an encoding as the one that was asked for last."""
+        self._keyframes[keyframe.number] = encoding
+        while len(self._keyframes) > self._memory:
+            del self._keyframes[next(iter(self._keyframes))]
 
     def propose(self, keyframe: Keyframe | None, watch: Watch | None = None) -> Proposal | None:
         """Pose of the current scan through a keyframe, or None when there is no answer."""
@@ -109,11 +114,13 @@ class LearnedBranch:
         try:
             if self._encoding is None:
                 self._encoding = self._registrar.encode(self._points)
-            if keyframe.number not in self._keyframes:
-                self._keyframes[keyframe.number] = self._registrar.encode(keyframe.points)
+            known = self._keyframes.pop(keyframe.number, None)
+            if known is None:
+                known = self._registrar.encode(keyframe.points)
+            self._keep(keyframe, known)
             if watch is not None:
                 watch.lap('encode')
-            match: Match = self._registrar.match(self._encoding, self._keyframes[keyframe.number])
+            match: Match = self._registrar.match(self._encoding, known)
         except RegistrationError as error:
             _log.debug('no match with keyframe %d: %s', keyframe.number, error)
             return None

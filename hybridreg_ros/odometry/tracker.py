@@ -76,9 +76,8 @@ class Tracker:
             sensor.voxel_size_m, config.map.reach_m or sensor.max_range_m,
             config.map.points_per_voxel, config.map.coarse_factor, sensor.kind == 'depth',
         )  # fmt: skip
-        self._learned = (
-            None if registrar is None else LearnedBranch(registrar, config.keyframe.memory)
-        )
+        asked = config.keyframe.window + config.lost.keyframes_tried
+        self._learned = None if registrar is None else LearnedBranch(registrar, asked)
         self._keyframes = Keyframes(config.keyframe, sensor.voxel_size_m)
         self._sightings = Sightings(sensor, config.keyframe.memory)
         self._dynamics = Dynamics(config.dynamics, sensor)

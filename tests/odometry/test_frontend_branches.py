@@ -22,6 +22,8 @@ from hybridreg_ros.odometry.config import (
     OdometryConfig,
 )
 from hybridreg_ros.odometry.frontend import HybridOdometry
+from hybridreg_ros.odometry.keyframes import Keyframe
+from hybridreg_ros.odometry.learned import LearnedBranch
 from hybridreg_ros.odometry.result import OdometryResult, Reason, Source
 
 RAYS = lidar_rays()
@@ -48,6 +50,20 @@ def test_network_leads_and_encodes_each_scan_once() -> None:
     assert worst_error_m(results, poses) < 0.02
     assert registrar.encodes == len(results)
     assert {'encode', 'match', 'refine', 'dynamics', 'map'} <= set(results[-1].timings_s)
+
+
+def test_only_encodings_that_were_asked_for_last_are_kept() -> None:
+    registrar = NeighbourhoodRegistrar()
+    branch = LearnedBranch(registrar, 2)
+    clouds = [scan.points for scan in scans(walk(4), RAYS)]
+    frames = [Keyframe(k, k, np.eye(4), points) for k, points in enumerate(clouds)]
+    encodes = []
+    for number in (0, 1, 0, 2, 0, 1):  # 1 is asked for longest ago when 2 comes
+        branch.begin(clouds[3])
+        before = registrar.encodes
+        assert branch.propose(frames[number]) is not None
+        encodes.append(registrar.encodes - before)
+    assert encodes == [2, 2, 1, 2, 1, 2]  # the scan itself, and the keyframe if it was not kept
 
 
 def test_switch_has_hysteresis_and_no_jump() -> None:

@@ -1,0 +1,109 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""docs/results.md: how the resident memory of the front end grows over a looped sequence.
+
+The scans of a sequence are played forth and back, without times of their points (a reversed scan
+has none), network and all. One process measures one sequence; the table holds all measured so far.
+
+    python scripts/memory_report.py dev-room-933 --steps 10000
+    python scripts/memory_report.py dev-street-6205 --steps 1500
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from docs_tables import put
+
+from hybridreg_ros.core import provenance
+from hybridreg_ros.core.scan import NS_PER_S, Scan
+from hybridreg_ros.odometry.frontend import HybridOdometry
+from hybridreg_ros.odometry.result import Source
+from hybridreg_ros.replay import suite_data
+from hybridreg_ros.replay.suite_list import SEQUENCES
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / 'docs' / 'results' / 'memory.json'
+FRAMES = 100
+"""Of a sequence; more are not looped over."""
+SETTLED = 100
+"""Steps after which growth counts: by then libraries are loaded and kernels compiled."""
+
+
+def resident_mb() -> float:
+    """Resident memory of this process."""
+    pages = int(Path('/proc/self/statm').read_text('ascii').split()[1])
+    return pages * resource.getpagesize() / 1e6
+
+
+def looped(count: int, step: int) -> int:
+    """Number of the frame of a step when `count` frames are played forth and back."""
+    place = step % max(1, 2 * count - 2)
+    return place if place < count else 2 * count - 2 - place
+
+
+def measure(clouds: Sequence[Scan], period_s: float, steps: int) -> dict[str, Any]:
+    """Run the front end on the looped clouds.
+
+    Returns:
+        Resident memory in MB by step, and how many poses were the network's.
+    """
+    marks = {SETTLED, 5 * SETTLED, steps // 2, steps - 1}
+    odometry, found, by_network = HybridOdometry(), {}, 0
+    for k in range(steps):
+        points = clouds[looped(len(clouds), k)].points
+        stamp = (1 + round(k * period_s * 1e3)) * (NS_PER_S // 1000)
+        result = odometry.step(Scan(points, stamp=stamp, frame_id='sensor'))
+        by_network += result.source is Source.HYBRIDREG
+        if k in marks:
+            found[str(k)] = resident_mb()
+    return {'resident_mb': found, 'by_network': by_network}
+
+
+def table(rows: dict[str, dict[str, Any]]) -> str:
+    """Markdown."""
+    lines = [
+        f'| sequence | points | steps | by network | MB after {SETTLED} steps | after '
+        f'{5 * SETTLED} | at the end | grown by |',
+        '|---|---|---|---|---|---|---|---|',
+    ]
+    for name, row in sorted(rows.items()):
+        at = row['resident_mb']
+        first, middle, last = at[str(SETTLED)], at[str(5 * SETTLED)], at[str(row['steps'] - 1)]
+        lines.append(
+            f'| {name} | {row["points"]:,} | {row["steps"]:,} | {row["by_network"]:,} '
+            f'| {first:.1f} | {middle:.1f} | {last:.1f} | {last - first:.1f} |'
+        )
+    return '\n'.join(lines)
+
+
+def main() -> None:
+    """Measure, write docs/results/memory.json, and the table in docs/results.md."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('sequence', help='of the benchmark or the development suite')
+    parser.add_argument('--steps', type=int, default=10_000, help='above 500 (default 10,000)')
+    parser.add_argument('--data', type=Path, default=Path('../shared/data'), help='recordings')
+    parser.add_argument('--cache', type=Path, default=Path('out/suite/cache'), help='simulated')
+    args = parser.parse_args()
+    if args.sequence not in SEQUENCES or args.steps <= 5 * SETTLED:
+        parser.error(f'needs a sequence of the suites and more than {5 * SETTLED} steps')
+    sequence = SEQUENCES[args.sequence]
+    clouds = [f.scan for f in suite_data.load(sequence, args.data, args.cache)[:FRAMES]]
+    row = measure(clouds, sequence.period_s, args.steps)
+    row |= {'points': max(len(c.points) for c in clouds), 'steps': args.steps}
+    row['provenance'] = provenance.collect().to_dict()
+    rows = json.loads(RESULTS.read_text('utf-8')) if RESULTS.exists() else {}
+    rows[args.sequence] = row
+    RESULTS.write_text(json.dumps(rows, indent=1) + '\n', encoding='utf-8')
+    put(ROOT / 'docs' / 'results.md', 'memory', table(rows))
+
+
+if __name__ == '__main__':
+    main()

@@ -4,12 +4,20 @@
 
 from __future__ import annotations
 
+import sys
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import ModuleType
+
 SHARED_DATA = Path(__file__).resolve().parents[2] / 'shared' / 'data'
+SCRIPTS = Path(__file__).resolve().parents[1] / 'scripts'
 
 
 @pytest.fixture
@@ -24,3 +32,15 @@ def shared_data() -> Path:
     if not SHARED_DATA.is_dir():
         pytest.skip('real recordings (../shared/data) are not here')
     return SHARED_DATA
+
+
+@pytest.fixture
+def script(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], ModuleType]:
+    """Imports a file of scripts/ by its name, anew."""
+
+    def load(name: str) -> ModuleType:
+        monkeypatch.syspath_prepend(str(SCRIPTS))
+        monkeypatch.delitem(sys.modules, name, raising=False)
+        return import_module(name)
+
+    return load

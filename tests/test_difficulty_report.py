@@ -5,24 +5,19 @@
 from __future__ import annotations
 
 import json
-import sys
-from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
     from types import ModuleType
-
-SCRIPTS = Path(__file__).resolve().parents[1] / 'scripts'
 
 
 @pytest.fixture
-def report(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-    monkeypatch.delitem(sys.modules, 'difficulty_report', raising=False)
-    return import_module('difficulty_report')
+def report(script: Callable[[str], ModuleType]) -> ModuleType:
+    return script('difficulty_report')
 
 
 def scores(split: str, overlap: float, right: int, wrong: int) -> list[dict[str, Any]]:

@@ -4,25 +4,19 @@
 
 from __future__ import annotations
 
-import sys
-from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 from tiny_world import depth_rays, scans, walk
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from types import ModuleType
-
-SCRIPTS = Path(__file__).resolve().parents[2] / 'scripts'
 
 
 @pytest.fixture
-def report(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-    monkeypatch.delitem(sys.modules, 'memory_report', raising=False)
-    return import_module('memory_report')
+def report(script: Callable[[str], ModuleType]) -> ModuleType:
+    return script('memory_report')
 
 
 @pytest.mark.parametrize(

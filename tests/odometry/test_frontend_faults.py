@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -13,8 +14,12 @@ from tiny_world import depth_rays, lidar_rays, pose, scans, walk
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import NS_PER_S, Scan
 from hybridreg_ros.odometry.config import LostConfig, OdometryConfig
+from hybridreg_ros.odometry.fallback import Fallback
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.result import LOST_VARIANCE, OdometryResult, Reason, Source
+
+if TYPE_CHECKING:
+    from hybridreg_ros.odometry.refine import Fit
 
 RAYS = lidar_rays()
 
@@ -107,6 +112,27 @@ def test_a_crowd_that_comes_at_once_is_doubted_but_not_lost() -> None:
         assert np.linalg.norm(off[:3, 3]) < 0.005
     lost = run(clouds[:7], OdometryConfig(lost=LostConfig(after_bad_frames=1)))
     assert is_lost(lost[-1])
+
+
+def test_close_to_the_prediction_is_looked_once_and_only_in_doubt(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    reaches: list[float] = []
+    follow_near = Fallback.follow_near
+
+    def counted(self: Fallback, *args: Any) -> Fit | None:
+        reaches.append(args[4])
+        return follow_near(self, *args)
+
+    monkeypatch.setattr(Fallback, 'follow_near', counted)
+    clouds = scans(walk(7), depth_rays())
+    odometry = HybridOdometry(model=None)
+    for scan in clouds[:6]:
+        odometry.step(scan)
+    assert reaches == []
+    odometry.step(with_crowd(clouds[6], 6))
+    assert len(reaches) == 1
+    assert 0.0 < reaches[0] < 0.1  # metres: the walk is even
 
 
 def test_teleport_is_lost_then_starts_a_new_map_and_says_so() -> None:

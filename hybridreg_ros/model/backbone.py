@@ -119,6 +119,7 @@ class Backbone(nn.Module):
             (F, fine_dim) of the fine points and (S, widths[-1]) of the superpoints.
         """
         levels = pyramid.levels
+        assert levels[0].conv is not None, 'this pyramid was stripped once it was encoded'
         x = self.stem_norm(influence_sums(levels[0].conv) @ self.stem.weight)  # input: ones
         x = self.first(x, levels[0].conv)
         skips = [x]

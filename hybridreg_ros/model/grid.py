@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hybridreg_ros.core.pages import zeros
 from hybridreg_ros.model.ops import bounds, compiled
 
 if TYPE_CHECKING:
@@ -16,9 +17,8 @@ if TYPE_CHECKING:
 
     F32 = NDArray[np.float32]
     F64 = NDArray[np.float64]
-    I32 = NDArray[np.int32]
-    I64 = NDArray[np.int64]
-    Space = tuple[I32, tuple[float, float, float], float]
+    Numbers = NDArray[np.integer]
+    Space = tuple[Numbers, tuple[float, float, float], float]
 
 _HALF_EXTENT_VOXELS = 250.0
 _MOST_CELLS = 24_000_000
@@ -55,14 +55,14 @@ def cell_point(x: float, y: float, z: float, space: Space) -> int:
     s = int(np.floor((z - low[2]) * rate))
     if not (0 <= p < grid.shape[0] and 0 <= q < grid.shape[1] and 0 <= s < grid.shape[2]):
         return -1
-    found: int = grid[p, q, s] - 1
+    found: int = int(grid[p, q, s]) - 1
     return found
 
 
 @compiled
-def _nearest_grid(points: F32, low: F64, shape: I64, cell: float) -> I32:
+def _fill(grid: Numbers, points: F32, low: F64, cell: float) -> None:
     """Per cell, 1 + the point nearest to its centre among those in the 27 cells around, or 0."""
-    grid = np.zeros((shape[0], shape[1], shape[2]), np.int32)
+    shape = grid.shape
     at = np.empty(3, np.int64)
     for i in range(points.shape[0]):
         inside = True
@@ -74,7 +74,7 @@ def _nearest_grid(points: F32, low: F64, shape: I64, cell: float) -> I32:
         for x in range(at[0] - 1, at[0] + 2):
             for y in range(at[1] - 1, at[1] + 2):
                 for z in range(at[2] - 1, at[2] + 2):
-                    other = grid[x, y, z] - 1
+                    other = int(grid[x, y, z]) - 1
                     if other < 0:
                         grid[x, y, z] = i + 1
                         continue
@@ -93,7 +93,6 @@ def _nearest_grid(points: F32, low: F64, shape: I64, cell: float) -> I32:
                     )
                     if new < old:
                         grid[x, y, z] = i + 1
-    return grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,12 +100,13 @@ class Grid:
     """Nearest point of a cloud per cell, for look-ups that need no search.
 
     Attributes:
-        nearest: (X, Y, Z) int32, 1 + index of the point, 0 where there is none around.
+        nearest: (X, Y, Z) uint16, or int32 for many points: 1 + index of the point, 0 where there
+            is none around.
         low: (3,) float64 corner, voxels.
         cell: side of a cell, voxels.
     """
 
-    nearest: I32
+    nearest: Numbers
     low: F64
     cell: float
 
@@ -126,7 +126,10 @@ class Grid:
             if shape.prod() <= _MOST_CELLS:
                 break
             half *= 0.9
-        return cls(_nearest_grid(points, low, shape, cell), low, cell)
+        number = np.uint16 if len(points) < np.iinfo(np.uint16).max else np.int32
+        grid = zeros((shape[0], shape[1], shape[2]), number)
+        _fill(grid, points, low, cell)
+        return cls(grid, low, cell)
 
     @property
     def space(self) -> Space:

@@ -7,7 +7,7 @@ A data worker builds it, the network only reads it; no gradient passes through i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,7 +37,8 @@ class Level:
 
     Attributes:
         points: (N, 3) float32, finest voxels, relative to `Pyramid.origin_m`.
-        conv: influence weights of kernel points, from this level to itself.
+        conv: influence weights of kernel points, from this level to itself; None once the cloud is
+            encoded (`Pyramid.encoded`), like `pool` and `pool_index`.
         pool: the same from this level to the next coarser one; None at the coarsest.
         pool_index: (N_next, H) int32 neighbours of the coarser points in this level, nearest
             first, padded with N; None at the coarsest.
@@ -46,7 +47,7 @@ class Level:
     """
 
     points: Tensor
-    conv: KernelOperator
+    conv: KernelOperator | None
     pool: KernelOperator | None = None
     pool_index: Tensor | None = None
     up_index: Tensor | None = None
@@ -85,6 +86,12 @@ class Pyramid:
     def fine_points(self) -> Tensor:
         """(F, 3) float32 fine points, finest voxels, relative to `origin_m`."""
         return self.levels[self.fine_level].points
+
+    @property
+    def encoded(self) -> Pyramid:
+        """Without what only the backbone needs, to be kept with its features: a third smaller."""
+        levels = (replace(v, conv=None, pool=None, pool_index=None) for v in self.levels)
+        return replace(self, levels=tuple(levels))
 
     @property
     def superpoints(self) -> Tensor:

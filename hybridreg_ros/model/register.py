@@ -34,6 +34,7 @@ from hybridreg_ros.model.pyramid import build_pyramid, metric_transform, voxel_t
 from hybridreg_ros.model.refine import refine
 from hybridreg_ros.model.result import Correspondences, EncodedCloud, RegistrationResult
 from hybridreg_ros.model.score import opinions_of
+from hybridreg_ros.model.settled import settled
 from hybridreg_ros.model.spread import values_of_inputs
 from hybridreg_ros.model.verify import proposals_of, verify, view_of
 from hybridreg_ros.model.voxel_size import choose_voxel_size_m
@@ -111,12 +112,12 @@ class HybridReg:
         if voxel_size_m is None:
             voxel_size_m = self.voxel_size_m = self.voxel_size_m or self._voxel_m(cloud)
         pyramid = build_pyramid(cloud, float(voxel_size_m), self.config)
-        encoding, view = self._encoding(pyramid), view_of(pyramid)
+        encoding, view = settled(self._encoding(pyramid)), settled(view_of(pyramid))
         return EncodedCloud(encoding, view, len(cloud), time.perf_counter() - start)
 
     @torch.no_grad()
     def _encoding(self, pyramid: Pyramid) -> Encoding:
-        return self.net.encode(pyramid)
+        return dataclasses.replace(self.net.encode(pyramid), pyramid=pyramid.encoded)
 
     def _encode_both(
         self, small: NDArray[np.float32], large: NDArray[np.float32], voxel_size_m: float

@@ -23,10 +23,10 @@ BETWEEN = 0.5
 
 
 @_jit
-def fit_surface(voxel, i, grid, wider, widest, update, room):  # type: ignore[no-untyped-def]
+def fit_surface(i, grid, wider, widest, update, room):  # type: ignore[no-untyped-def]
     """Fit the surface of one stored point, on its own level or on the next that shows one."""
-    x, y, z = grid.store[voxel, i, 0], grid.store[voxel, i, 1], grid.store[voxel, i, 2]
-    beam = grid.beam[voxel, i]
+    x, y, z = grid.store[i, 0], grid.store[i, 1], grid.store[i, 2]
+    beam = grid.beam[i]
     n, nx, ny, nz, offset, variance = fit_around(x, y, z, grid, room)
     if n == 0 or _edge_on(nx, ny, nz, beam):
         n, nx, ny, nz, offset, variance = fit_around(x, y, z, wider, room)
@@ -34,14 +34,14 @@ def fit_surface(voxel, i, grid, wider, widest, update, room):  # type: ignore[no
             n, nx, ny, nz, offset, variance = fit_around(x, y, z, widest, room)
         if _edge_on(nx, ny, nz, beam):
             n = 0
-    grid.kind[voxel, i] = PLANE if n > 0 else POINT
-    grid.surface[voxel, i, 0] = nx
-    grid.surface[voxel, i, 1] = ny
-    grid.surface[voxel, i, 2] = nz
-    grid.surface[voxel, i, 3] = offset
-    grid.surface[voxel, i, 4] = variance
-    grid.fitted[voxel, i] = update
-    grid.support[voxel, i] = min(n, 30000)
+    grid.kind[i] = PLANE if n > 0 else POINT
+    grid.surface[i, 0] = nx
+    grid.surface[i, 1] = ny
+    grid.surface[i, 2] = nz
+    grid.surface[i, 3] = offset
+    grid.surface[i, 4] = variance
+    grid.fitted[i] = update
+    grid.support[i] = min(n, 30000)
 
 
 @_jit
@@ -63,25 +63,25 @@ def _surface_of(x, y, z, grid, wider, widest, update, room):  # type: ignore[no-
     """Stored point nearest to a place, its surface fitted as often as it is due.
 
     Returns:
-        Voxel (-1 = none within one edge) and number in it.
+        Its row in the level, -1 = none within one edge.
     """
-    voxel, i, _ = nearest(x, y, z, grid)
-    if voxel >= 0:
-        age = update - grid.fitted[voxel, i]
-        if grid.fitted[voxel, i] == 0 or age > _lasts(grid.support[voxel, i]):
-            fit_surface(voxel, i, grid, wider, widest, update, room)
-    return voxel, i
+    i, _ = nearest(x, y, z, grid)
+    if i >= 0:
+        age = update - grid.fitted[i]
+        if grid.fitted[i] == 0 or age > _lasts(grid.support[i]):
+            fit_surface(i, grid, wider, widest, update, room)
+    return i
 
 
 @_jit
-def _on_plane(x, y, z, grid, voxel, i, slack):  # type: ignore[no-untyped-def]
+def _on_plane(x, y, z, grid, i, slack):  # type: ignore[no-untyped-def]
     """Whether a place lies on the surface of a stored point, if that is a plane."""
-    if voxel < 0 or grid.kind[voxel, i] != PLANE:
+    if i < 0 or grid.kind[i] != PLANE:
         return False
-    off = -float(grid.surface[voxel, i, 3])
-    off += (x - grid.store[voxel, i, 0]) * grid.surface[voxel, i, 0]
-    off += (y - grid.store[voxel, i, 1]) * grid.surface[voxel, i, 1]
-    off += (z - grid.store[voxel, i, 2]) * grid.surface[voxel, i, 2]
+    off = -float(grid.surface[i, 3])
+    off += (x - grid.store[i, 0]) * grid.surface[i, 0]
+    off += (y - grid.store[i, 1]) * grid.surface[i, 1]
+    off += (z - grid.store[i, 2]) * grid.surface[i, 2]
     return abs(off) < slack
 
 
@@ -117,21 +117,21 @@ def associate(points, R, t, grid, wider, widest, update, kind, anchor, normal, v
         z = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2]
         kind[row] = NONE
         level = grid
-        voxel, i = _surface_of(x, y, z, grid, wider, widest, update, room)
-        if voxel < 0 and wider.size > grid.size and not grid.by_mass:
+        i = _surface_of(x, y, z, grid, wider, widest, update, room)
+        if i < 0 and wider.size > grid.size and not grid.by_mass:
             level = wider
-            voxel, i = _surface_of(x, y, z, wider, widest, widest, update, room)
-            if not _on_plane(x, y, z, wider, voxel, i, BETWEEN * grid.size):
+            i = _surface_of(x, y, z, wider, widest, widest, update, room)
+            if not _on_plane(x, y, z, wider, i, BETWEEN * grid.size):
                 continue
-        if voxel < 0:
+        if i < 0:
             continue
-        kind[row] = level.kind[voxel, i]
-        born[row] = level.born[voxel, i]
-        offset = level.surface[voxel, i, 3]
+        kind[row] = level.kind[i]
+        born[row] = level.born[i]
+        offset = level.surface[i, 3]
         for axis in range(3):
-            normal[row, axis] = level.surface[voxel, i, axis]
-            anchor[row, axis] = level.store[voxel, i, axis] + offset * normal[row, axis]
-        var[row] = level.surface[voxel, i, 4]
+            normal[row, axis] = level.surface[i, axis]
+            anchor[row, axis] = level.store[i, axis] + offset * normal[row, axis]
+        var[row] = level.surface[i, 4]
 
 
 @_jit

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from hybridreg_ros.odometry.voxelmap import EMPTY, find_slot, voxel_key
+from hybridreg_ros.odometry.voxelhash import EMPTY, find_slot, voxel_key
 
 _jit = numba.njit(cache=True, nogil=True)
 

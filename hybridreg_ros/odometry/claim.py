@@ -11,6 +11,7 @@ import numpy as np
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.odometry import calibration
+from hybridreg_ros.odometry.confidence import of_evidence
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -124,7 +125,9 @@ def surprise(pose: F64, expected: Expected | None, voxel_size_m: float) -> float
     return float(np.log10(_USUAL + _apart(expected.pose, pose, *usual)))
 
 
-def rival(pose: F64, considered: Iterable[Candidate], voxel_size_m: float) -> float:
+def rival(
+    pose: F64, considered: Iterable[Candidate], voxel_size_m: float, refused: bool = False
+) -> float:
     """How plausible the surest pose is that another way led to.
 
     Args:
@@ -132,12 +135,14 @@ def rival(pose: F64, considered: Iterable[Candidate], voxel_size_m: float) -> fl
         considered: every pose that was judged for its scan.
         voxel_size_m: one so far off, or off by one degree, is a different pose; one nearer counts
             by its distance.
+        refused: whether those that failed a check count too, by what speaks for them.
 
     Returns:
         Its confidence, [0, 1].
     """
     others = (
-        c.verdict.confidence * min(1.0, _apart(pose, c.fit.T_odom_sensor, voxel_size_m, 1.0))
+        (of_evidence(c.evidence) if refused else c.verdict.confidence)
+        * min(1.0, _apart(pose, c.fit.T_odom_sensor, voxel_size_m, 1.0))
         for c in considered
     )
     return max(others, default=0.0)

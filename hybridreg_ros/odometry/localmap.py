@@ -4,21 +4,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hybridreg_ros.core.pages import zeros
 from hybridreg_ros.core.scan import NS_PER_S
-from hybridreg_ros.odometry import voxelmap
+from hybridreg_ros.odometry import pointrows, voxelmap
 from hybridreg_ros.odometry.voxelmap import Grid
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _START_VOXELS = 1 << 13
-_PER_VOXEL = (
-    'keys', 'counts', 'store', 'mass', 'beam', 'born', 'surface', 'kind', 'fitted', 'support',
-)  # fmt: skip
+_START_POINTS = 1 << 15
 
 
 class VoxelLevel:
@@ -39,25 +38,13 @@ class VoxelLevel:
 
     def clear(self) -> None:
         """Forget everything."""
-        self._allocate(_START_VOXELS)
         self.used = 0
-
-    def _allocate(self, voxels: int) -> None:
-        points = (voxels, self._per_voxel)
         self.grid = Grid(
             size=self.size_m,
-            table=np.full(4 * voxels, voxelmap.EMPTY, np.int64),
-            slots=np.zeros(4 * voxels, np.int32),
-            keys=np.zeros(voxels, np.int64),
-            counts=np.zeros(voxels, np.int32),
-            store=np.zeros((*points, 3), np.float32),
-            mass=np.zeros(points, np.float32),
-            beam=np.zeros((*points, 3), np.float32),
-            born=np.zeros(points, np.float32),
-            surface=np.zeros((*points, 5), np.float32),
-            kind=np.zeros(points, np.int8),
-            fitted=np.zeros(points, np.int32),
-            support=np.zeros(points, np.int16),
+            most=self._per_voxel,
+            **_no_voxels(_START_VOXELS),
+            free=pointrows.none_taken(self._per_voxel),
+            **_no_points(_START_POINTS),
             by_mass=self._by_mass,
         )
 
@@ -92,18 +79,61 @@ class VoxelLevel:
         mean: float = voxelmap.mean_distance(points, T[:3, :3].copy(), T[:3, 3].copy(), self.grid)
         return mean
 
+    def __len__(self) -> int:
+        """Stored points."""
+        return int(self.grid.spans[: self.used, 1].sum())
+
     def points(self) -> NDArray[np.float32]:
         """All stored points (N, 3), map frame, metres."""
-        stored: NDArray[np.float32] = voxelmap.gather(self.grid.counts, self.grid.store, self.used)
+        stored: NDArray[np.float32] = voxelmap.gather(self.grid.spans, self.grid.store, self.used)
         return stored
 
     def _grow(self) -> None:
-        """Twice as many cubes."""
-        old, count = self.grid, len(self.grid.counts)
-        self._allocate(2 * count)
-        for name in _PER_VOXEL:
-            getattr(self.grid, name)[:count] = getattr(old, name)
-        self.used = voxelmap.keep_near(np.zeros(3), np.inf, self.grid, self.used)
+        """Make room: twice as many cubes; or twice as many points, or those packed that are there.
+
+        Rows of the new arrays that are not used yet take no memory.
+        """
+        old, rows = self.grid, len(self.grid.store)
+        if self.used == len(old.keys):
+            more = _no_voxels(2 * self.used)
+            more['keys'][: self.used] = old.keys
+            more['spans'][: self.used] = old.spans
+            self.grid = old._replace(**more)
+            self.keep_near(np.zeros(3), np.inf)
+        elif 2 * len(self) > rows:
+            more = _no_points(2 * rows)
+            for name, values in more.items():
+                values[:rows] = getattr(old, name)
+            self.grid = old._replace(**more)
+        else:
+            free = pointrows.none_taken(self._per_voxel)
+            self.grid = old._replace(free=free, **_no_points(rows))
+            voxelmap.pack(old, self.grid, self.used)
+
+
+def _no_voxels(count: int) -> dict[str, Any]:
+    """The arrays of a `Grid` for so many cubes, a power of two, all empty."""
+    slots = zeros(4 * count, np.int32)
+    slots[:] = -1
+    return {
+        'slots': slots,
+        'keys': zeros(count, np.int64),
+        'spans': zeros((count, 3), np.int32),
+    }
+
+
+def _no_points(count: int) -> dict[str, Any]:
+    """The arrays of a `Grid` for so many points."""
+    return {
+        'store': zeros((count, 3), np.float32),
+        'mass': zeros(count, np.float32),
+        'beam': zeros((count, 3), np.float32),
+        'born': zeros(count, np.float32),
+        'surface': zeros((count, 5), np.float32),
+        'kind': zeros(count, np.int8),
+        'fitted': zeros(count, np.int32),
+        'support': zeros(count, np.int16),
+    }
 
 
 class LocalMap:

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.core.errors import RegistrationError
-from hybridreg_ros.odometry.claim import log_odds
+from hybridreg_ros.odometry.claim import log_odds, rival
 from hybridreg_ros.odometry.confidence import FIRM, of_evidence, weakness
 from hybridreg_ros.odometry.result import Reason, Source
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from numpy.typing import NDArray
 
@@ -48,6 +48,8 @@ class Located:
         uncertainty: (M,) float32 of the network per map point of the cloud, None without one.
         surprise: how far it is off the predicted pose (`claim.surprise`).
         rank: by which the best of several is chosen (`rank`).
+        tentative: taken only since it is as the motion leads one to expect: better than none, but
+            its scan is a bad one.
     """
 
     fit: Fit
@@ -59,12 +61,13 @@ class Located:
     uncertainty: F32 | None = None
     surprise: float = 0.0
     rank: float = 0.0
+    tentative: bool = False
 
     def adds_to_map(self, gate: GateConfig, voxel_size_m: float) -> bool:
         """Whether the scan enters the map: not in doubt or held loosely where the map shows it."""
         firm = self.evidence.weakness <= weakness(gate.firm * voxel_size_m)
         sure = self.confidence >= gate.write
-        return (sure and firm) or self.evidence.overlap < gate.known
+        return (sure and firm) or (not self.tentative and self.evidence.overlap < gate.known)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,13 +120,31 @@ def against_motion(confidence: float, surprise: float) -> float:
     return log_odds(confidence) - AGAINST * max(0.0, surprise)
 
 
-def located_by_kiss(found: Candidate, reason: Reason) -> Located:
+def located_by_kiss(found: Candidate, reason: Reason, tentative: bool = False) -> Located:
     """A pose that kiss-icp made; its evidence is all that speaks for it."""
     confidence = found.verdict.confidence
     return Located(
         found.fit, found.evidence, Source.KISS_ICP, reason, confidence, confidence,
-        surprise=found.surprise, rank=found.rank,
+        surprise=found.surprise, rank=found.rank, tentative=tentative,
     )  # fmt: skip
+
+
+def is_worth_it(
+    doubtful: Candidate, considered: Iterable[Candidate], voxel_size_m: float, accept: float
+) -> bool:
+    """Whether a pose that little speaks for is better than none.
+
+    One as expected is no worse than the prediction itself, unless the scan stands well elsewhere:
+    then the motion has changed.
+
+    Args:
+        doubtful: the best pose found.
+        considered: every pose that was judged for its scan.
+        voxel_size_m: voxel of the map; poses so far apart are different ones.
+        accept: confidence from which another one speaks against it.
+    """
+    pose = doubtful.fit.T_odom_sensor
+    return doubtful.surprise < 0.0 and rival(pose, considered, voxel_size_m, refused=True) < accept
 
 
 def better(one: Candidate | None, other: Candidate | None) -> Candidate | None:

@@ -24,14 +24,12 @@ if TYPE_CHECKING:
 
     from hybridreg_ros.odometry.cloud import Cloud
     from hybridreg_ros.odometry.config import OdometryConfig
-    from hybridreg_ros.odometry.keyframes import Keyframes
     from hybridreg_ros.odometry.learned import LearnedBranch, Proposal
-    from hybridreg_ros.odometry.localmap import LocalMap
     from hybridreg_ros.odometry.motion import Expected
     from hybridreg_ros.odometry.preprocess import SensorModel
     from hybridreg_ros.odometry.refine import Fit
+    from hybridreg_ros.odometry.scene import Scene
     from hybridreg_ros.odometry.stopwatch import Watch
-    from hybridreg_ros.odometry.visibility import Sightings
 
     F64 = NDArray[np.float64]
     F32 = NDArray[np.float32]
@@ -61,31 +59,22 @@ class Locator:
     Args:
         config: settings.
         sensor: what the sensor is.
-        local_map: the map of both branches.
+        scene: the map of both branches, keyframes, and what earlier scans saw.
         learned: the network branch, or None.
-        keyframes: what the network matches against.
-        sightings: what earlier scans saw.
 
     Attributes:
         judged: every pose that was considered for the last scan.
     """
 
     def __init__(
-        self,
-        config: OdometryConfig,
-        sensor: SensorModel,
-        local_map: LocalMap,
+        self, config: OdometryConfig, sensor: SensorModel, scene: Scene,
         learned: LearnedBranch | None,
-        keyframes: Keyframes,
-        sightings: Sightings,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._config = config
         self._voxel_m = sensor.voxel_size_m
-        self._map = local_map
+        self._scene = scene
         self._learned = learned
-        self._keyframes = keyframes
-        self._sightings = sightings
-        self._fallback = Fallback(config, sensor, local_map)
+        self._fallback = Fallback(config, sensor, scene.map)
         self._gate = Gate(config.gate)
         self._no_network = (
             Reason.REGISTRAR_KISS_ICP if config.registrar == 'kiss-icp' else Reason.NO_WEIGHTS
@@ -127,7 +116,7 @@ class Locator:
             watch.lap('refine')
             if first is not None and self._without_doubt(first.verdict.confidence, first.evidence):
                 return located_by_kiss(first, Reason.NOT_NEEDED)
-        proposal = self._learned.propose(self._keyframes.to_match(predicted), watch)
+        proposal = self._learned.propose(self._scene.keyframes.to_match(predicted), watch)
         watch.lap('match')
         if proposal is not None:  # its mask knows of those who came since the last scan
             still = trust * (1.0 - proposal.uncertainty[cloud.icp_in_map])
@@ -165,7 +154,7 @@ class Locator:
         if isinstance(found, Located) and found.confidence >= self._config.fallback.good:
             return found
         if self._learned is not None:
-            for keyframe in self._keyframes.nearest(last, self._config.lost.keyframes_tried):
+            for keyframe in self._scene.keyframes.nearest(last, self._config.lost.keyframes_tried):
                 proposal = self._learned.propose(keyframe)
                 by_network = self._by_network(cloud, proposal, trust, check)
                 if isinstance(by_network, Located):
@@ -226,7 +215,7 @@ class Locator:
         # One far off is an opinion of its own, not to be drawn to the expected pose.
         prior = None if self._is_far(proposal.T_odom_sensor) else self._prior
         start, settings = proposal.T_odom_sensor, self._config.refine
-        fit = settle(cloud, start, self._map, settings, weights, 'middle', prior)
+        fit = settle(cloud, start, self._scene.map, settings, weights, 'middle', prior)
         candidate = check(fit)
         if candidate.verdict.fault is not None:
             return candidate.verdict.fault
@@ -269,9 +258,9 @@ class Locator:
         if best.verdict.fault is not None:
             return best.verdict.fault
         if best.verdict.confidence < section.accept:
-            reason = Reason.LOW_CONFIDENCE
-            if best.surprise >= 0.0:  # one as expected is no worse than the prediction itself
-                return reason
+            if not located.is_worth_it(best, self.judged, self._voxel_m, section.accept):
+                return Reason.LOW_CONFIDENCE
+            return located_by_kiss(best, Reason.LOW_CONFIDENCE, tentative=True)
         return located_by_kiss(best, reason)
 
     def _other_ways(
@@ -293,7 +282,7 @@ class Locator:
         points = cloud.icp_with(fit.sway)[trust > 0.5]
         spread = covariance.of_fit(fit, cloud.reported_s - cloud.instant_s, 1.0)
         evidence = replace(
-            self._sightings.evidence(points, fit.T_odom_sensor, fit.overlap),
+            self._scene.sightings.evidence(points, fit.T_odom_sensor, fit.overlap),
             weakness=weakness(covariance.weakest_m(spread)),
         )
         predicted, dt_s = (None, 0.0) if expected is None else (expected.pose, expected.seconds)

@@ -9,7 +9,7 @@ import numba
 import numpy as np
 
 from hybridreg_ros.core.eigen import smallest_axis
-from hybridreg_ros.odometry.voxelmap import EMPTY, find_slot, voxel_key
+from hybridreg_ros.odometry.voxelhash import EMPTY, find_voxel, voxel_key
 
 _jit = numba.njit(cache=True, nogil=True)
 
@@ -29,7 +29,7 @@ LEAST_LEFT = 0.5
 @_jit
 def buffer(grid):  # type: ignore[no-untyped-def]
     """Room (P, 4) for as many points as there can be around a place."""
-    return np.empty((27 * grid.store.shape[1], 4))
+    return np.empty((27 * grid.most, 4))
 
 
 @_jit
@@ -53,17 +53,18 @@ def around(x, y, z, grid, found):  # type: ignore[no-untyped-def]
     for di in range(-1, 2):
         for dj in range(-1, 2):
             for dk in range(-1, 2):
-                slot = find_slot(grid.table, centre + (di << 42) + (dj << 21) + dk)
-                if grid.table[slot] == EMPTY:
+                key = centre + (di << 42) + (dj << 21) + dk
+                voxel = find_voxel(key, grid.slots, grid.keys)
+                if voxel < 0:
                     continue
-                voxel = grid.slots[slot]
-                for i in range(grid.counts[voxel]):
-                    dx = grid.store[voxel, i, 0] - x
-                    dy = grid.store[voxel, i, 1] - y
-                    dz = grid.store[voxel, i, 2] - z
+                start = grid.spans[voxel, 0]
+                for i in range(start, start + grid.spans[voxel, 1]):
+                    dx = grid.store[i, 0] - x
+                    dy = grid.store[i, 1] - y
+                    dz = grid.store[i, 2] - z
                     if dx * dx + dy * dy + dz * dz <= reach_sq:
                         found[count, 0], found[count, 1], found[count, 2] = dx, dy, dz
-                        found[count, 3] = float(grid.mass[voxel, i]) if grid.by_mass else 1.0
+                        found[count, 3] = float(grid.mass[i]) if grid.by_mass else 1.0
                         count += 1
     return count
 

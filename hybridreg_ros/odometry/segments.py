@@ -9,7 +9,7 @@ import numba
 import numpy as np
 
 from hybridreg_ros.core.eigen import smallest_axis
-from hybridreg_ros.odometry.voxelmap import EMPTY, find_slot
+from hybridreg_ros.odometry.voxelhash import EMPTY, find_slot
 
 _jit = numba.njit(cache=True, nogil=True)
 

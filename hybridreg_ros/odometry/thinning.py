@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
-from hybridreg_ros.odometry.voxelmap import EMPTY, empty_table, find_slot, voxel_key
+from hybridreg_ros.odometry.voxelhash import EMPTY, empty_table, find_slot, voxel_key
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -12,27 +12,23 @@ import numpy as np
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.odometry import calibration, covariance
-from hybridreg_ros.odometry.dynamics import Dynamics
 from hybridreg_ros.odometry.estimate import Estimate, nothing
-from hybridreg_ros.odometry.keyframes import Keyframes
 from hybridreg_ros.odometry.learned import LearnedBranch
-from hybridreg_ros.odometry.localmap import LocalMap
 from hybridreg_ros.odometry.located import Located
 from hybridreg_ros.odometry.locator import Locator
-from hybridreg_ros.odometry.preprocess import certainty
 from hybridreg_ros.odometry.result import Reason, Source
+from hybridreg_ros.odometry.scene import Scene
 from hybridreg_ros.odometry.trail import Trail
-from hybridreg_ros.odometry.visibility import Sightings
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.odometry.cloud import Cloud
     from hybridreg_ros.odometry.config import OdometryConfig
+    from hybridreg_ros.odometry.keyframes import Keyframe
     from hybridreg_ros.odometry.located import Candidate
     from hybridreg_ros.odometry.motion import Motion
     from hybridreg_ros.odometry.preprocess import SensorModel
-    from hybridreg_ros.odometry.rangeimage import RangeImage
     from hybridreg_ros.odometry.registrar import Registrar
     from hybridreg_ros.odometry.stopwatch import Watch
 
@@ -40,14 +36,12 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-_STATIC_BELOW = 0.3
-"""Only points of a lower P(dynamic) enter the map."""
 _OPENINGS = 2
 """How often the first map is made again once the second scan shows the velocity."""
 
 
 class Tracker:
-    """Map, keyframes and pose chain of one odom frame.
+    """Scene and pose chain of one odom frame.
 
     Args:
         config: settings.
@@ -72,18 +66,10 @@ class Tracker:
         self.covariance = covariance.first()
         self._config = config
         self._motion = motion
-        self._map = LocalMap(
-            sensor.voxel_size_m, config.map.reach_m or sensor.max_range_m,
-            config.map.points_per_voxel, config.map.coarse_factor, sensor.kind == 'depth',
-        )  # fmt: skip
+        self._scene = Scene(config, sensor)
         asked = config.keyframe.window + config.lost.keyframes_tried
         self._learned = None if registrar is None else LearnedBranch(registrar, asked)
-        self._keyframes = Keyframes(config.keyframe, sensor.voxel_size_m)
-        self._sightings = Sightings(sensor, config.keyframe.memory)
-        self._dynamics = Dynamics(config.dynamics, sensor)
-        self._locator = Locator(
-            config, sensor, self._map, self._learned, self._keyframes, self._sightings
-        )
+        self._locator = Locator(config, sensor, self._scene, self._learned)
         self._bad_frames = 0
         self._lost_scans = 0
         self._opening: tuple[Cloud, int] | None = None
@@ -102,10 +88,10 @@ class Tracker:
             return self._bad(cloud, stamp, Reason.TOO_FEW_POINTS)
         if self._learned is not None:
             self._learned.begin(cloud.map_points)
-        if len(self._map) == 0:
+        if len(self._scene.map) == 0:
             return self._begin(cloud, stamp, Reason.FIRST_SCAN)
         expected = self._trail.expect(self._motion.expect(stamp), cloud, stamp)
-        trust = self._dynamics.trust(cloud.icp_points, predicted := expected.pose)
+        trust = self._scene.dynamics.trust(cloud.icp_points, predicted := expected.pose)
         if self.lost:
             found = self._locator.relocate(cloud, self._motion.pose)
         else:
@@ -127,14 +113,9 @@ class Tracker:
         """Every pose that was considered for the last cloud."""
         return self._locator.judged
 
-    def _is_doubtful(self, found: Located) -> bool:
-        """Whether a pose was taken only because it is as expected: its frame is a bad one."""
-        return found.evident < self._config.fallback.accept
-
     def _is_last_straw(self, found: Located) -> bool:
-        """Whether a doubtful pose comes after too many bad frames to be taken."""
-        left = self._config.lost.after_bad_frames - self._bad_frames
-        return left <= 1 and self._is_doubtful(found)
+        """Whether a tentative pose comes after too many bad frames to be taken."""
+        return found.tentative and self._bad_frames + 1 >= self._config.lost.after_bad_frames
 
     def _opens(self, cloud: Cloud, stamp: int) -> bool:
         """Whether this is the second scan of a map whose first one was taken to stand still."""
@@ -173,17 +154,17 @@ class Tracker:
 
     def _restart(self, cloud: Cloud, pose: F64, stamp: int) -> None:
         """Let the map, the past and the newest keyframe be those of one cloud."""
-        self._forget_scene()
+        self._scene.forget()
         self._stop(stamp, pose)
-        keyframe = self._keyframes.mend(pose, cloud.map_points)
+        keyframe = self._scene.keyframes.mend(pose, cloud.map_points)
         if self._learned is not None:
             self._learned.forget(keyframe)
-        self._write_first(cloud, pose, stamp)
+        self._scene.begin(cloud, pose, stamp)
 
     def _accept(
         self, cloud: Cloud, stamp: int, predicted: F64, found: Located, watch: Watch
     ) -> Estimate:
-        """Write a good pose to the chain, the map and, when due, the keyframes."""
+        """Write a pose to the chain, and its scan to the scene."""
         pose, was_lost = found.fit.T_odom_sensor, self.lost
         sway, reported = found.fit.sway, None
         entered = cloud
@@ -199,7 +180,7 @@ class Tracker:
             else:
                 self._hold(pose, stamp)
         self.lost, self._lost_scans = False, 0
-        self._bad_frames = self._bad_frames + 1 if self._is_doubtful(found) else 0
+        self._bad_frames = self._bad_frames + 1 if found.tentative else 0
         self.source = found.source
         section = self._config.covariance
         factor = section.scale or calibration.packaged().covariance_scale[self.sensor.kind]
@@ -207,18 +188,15 @@ class Tracker:
             factor *= section.fallback_factor
         ahead_s = cloud.reported_s - cloud.instant_s
         self.covariance = covariance.of_fit(found.fit, ahead_s, factor)
-        image = self._sightings.draw(cloud, pose)
-        dynamic = self._dynamics.update(cloud, pose, self._map, found.uncertainty)
+        dynamic, image = self._scene.moving(cloud, found)
         watch.lap('dynamics')
-        write = found.adds_to_map(self._config.gate, self.sensor.voxel_size_m)
-        is_keyframe = write and self._keyframes.wanted(pose, stamp, found.evidence.seen)
-        if is_keyframe:
-            self._add_keyframe(cloud, pose, stamp)
-        self._write(cloud, pose, stamp, image, dynamic, is_keyframe, write)
+        keyframe = self._scene.add(cloud, stamp, found, dynamic, image)
+        if keyframe is not None:
+            self._adopt(keyframe)
         watch.lap('map')
         reason = Reason.RECOVERED if was_lost else found.reason
         claim = self._locator.claim_of(found)
-        estimate = self._estimate(pose, reason, claim.confidence, dynamic, is_keyframe)
+        estimate = self._estimate(pose, reason, claim.confidence, dynamic, keyframe is not None)
         return replace(estimate, reported=reported, claim=claim)
 
     def _begin(self, cloud: Cloud, stamp: int, reason: Reason) -> Estimate:
@@ -233,8 +211,8 @@ class Tracker:
         self.source = Source.KISS_ICP if self._learned is None else Source.HYBRIDREG
         first = reason is Reason.FIRST_SCAN
         self.covariance = covariance.first() if first else covariance.lost()
-        self._add_keyframe(cloud, pose, stamp)
-        self._write_first(cloud, pose, stamp)
+        self._adopt(self._scene.keyframes.add(pose, stamp, cloud.map_points))
+        self._scene.begin(cloud, pose, stamp)
         self._opening = None if cloud.times is None else (cloud, stamp)
         return self._estimate(pose, reason, float(first), nothing(cloud), is_keyframe=True)
 
@@ -263,8 +241,8 @@ class Tracker:
         self._motion.hold(pose, stamp)
         self._trail.end()
 
-    def _add_keyframe(self, cloud: Cloud, pose: F64, stamp: int) -> None:
-        keyframe = self._keyframes.add(pose, stamp, cloud.map_points)
+    def _adopt(self, keyframe: Keyframe) -> None:
+        """Let the network match against a keyframe that the current scan has become."""
         if self._learned is not None:
             self._learned.adopt(keyframe)
 
@@ -274,47 +252,15 @@ class Tracker:
         if self._lost_scans <= self._config.lost.reanchor_after:
             return False
         _log.warning('lost for %d scans: starting a new map at the last pose', self._lost_scans)
-        self._forget_scene()
-        self._keyframes.clear()
+        self._scene.forget()
+        self._scene.keyframes.clear()
         return True
-
-    def _forget_scene(self) -> None:
-        for part in (self._map, self._dynamics, self._sightings):
-            part.clear()
-
-    def _write(
-        self,
-        cloud: Cloud,
-        pose: F64,
-        stamp: int,
-        image: RangeImage,
-        dynamic: NDArray[np.float32],
-        is_keyframe: bool,
-        write: bool = True,
-    ) -> None:
-        """Add the static points to the map; take out those that turned out to have moved."""
-        still = dynamic < _STATIC_BELOW
-        if self._config.dynamics.enabled:
-            gone = self._dynamics.vanished(image)
-            if len(gone):
-                self._map.erase(gone)
-            rows = cloud.icp_rows[still[cloud.icp_rows]]
-            self._dynamics.remember(image, se3.apply(pose, cloud.points[rows]), stamp)
-        if write:
-            points = cloud.means[still[cloud.map_rows]].astype(np.float64)
-            weights = certainty(points, self.sensor)
-            self._map.update(se3.apply(pose, points), pose[:3, 3], weights, stamp)
-        drawn = image if still.all() else self._sightings.draw(cloud, pose, still)
-        self._sightings.keep(drawn, is_keyframe)
-
-    def _write_first(self, cloud: Cloud, pose: F64, stamp: int) -> None:
-        self._write(cloud, pose, stamp, self._sightings.draw(cloud, pose), nothing(cloud), True)
 
     def _estimate(
         self, pose: F64, reason: Reason, confidence: float, dynamic: NDArray[np.float32],
         is_keyframe: bool,
     ) -> Estimate:  # fmt: skip
-        last = self._keyframes.last
+        last = self._scene.keyframes.last
         return Estimate(
             pose=pose,
             covariance=self.covariance,

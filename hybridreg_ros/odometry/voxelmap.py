@@ -10,32 +10,37 @@ import numba
 import numpy as np
 from numpy.typing import NDArray  # noqa: TC002 (numba reads the annotations of Grid)
 
+from hybridreg_ros.odometry import pointrows
+from hybridreg_ros.odometry.voxelhash import EMPTY, add_voxel, find_voxel, voxel_key
+
 
 class Grid(NamedTuple):
     """One level of the map as the kernels see it.
 
     Attributes:
         size: edge of a voxel, metres.
-        table: (C,) int64, open-addressing hash table of voxel keys, C a power of two.
-        slots: (C,) int32, voxel number of each table entry.
+        most: most points of a voxel.
+        slots: (C,) int32, hash table of voxels (`voxelhash.find_voxel`), C a power of two.
         keys: (V,) int64 key of each voxel.
-        counts: (V,) int32 points in each voxel.
-        store: (V, K, 3) float32 those points, map frame, metres.
-        mass: (V, K) float32, sum of the weights of what each is the mean of, at most MOST_MASS.
-        beam: (V, K, 3) float32 unit direction, map frame, in which each was first seen.
-        born: (V, K) float32 age of the map, seconds, when each was first seen.
-        surface: (V, K, 5) float32 unit normal, offset of the surface along it, variance across it.
-        kind: (V, K) int8, POINT or PLANE once fitted.
-        fitted: (V, K) int32, update after which the surface was fitted, 0 = not yet.
-        support: (V, K) int16, points it was fitted to.
+        spans: (V, 3) int32 of each voxel: row of its first point, points, rows it has room for.
+        free: (F,) int32 rows that may be given to a voxel (`pointrows`).
+        store: (P, 3) float32 the points of all voxels, map frame, metres.
+        mass: (P,) float32, sum of the weights of what each is the mean of, at most MOST_MASS.
+        beam: (P, 3) float32 unit direction, map frame, in which each was first seen.
+        born: (P,) float32 age of the map, seconds, when each was first seen.
+        surface: (P, 5) float32 unit normal, offset of the surface along it, variance across it.
+        kind: (P,) int8, POINT or PLANE once fitted.
+        fitted: (P,) int32, update after which the surface was fitted, 0 = not yet.
+        support: (P,) int16, points it was fitted to.
         by_mass: whether stored points count by their mass in the fit of a surface, or alike.
     """
 
     size: float
-    table: NDArray[np.int64]
+    most: int
     slots: NDArray[np.int32]
     keys: NDArray[np.int64]
-    counts: NDArray[np.int32]
+    spans: NDArray[np.int32]
+    free: NDArray[np.int32]
     store: NDArray[np.float32]
     mass: NDArray[np.float32]
     beam: NDArray[np.float32]
@@ -47,44 +52,10 @@ class Grid(NamedTuple):
     by_mass: bool
 
 
-HALF_SPAN = 1 << 20
-"""Voxel indices must lie in (-HALF_SPAN, HALF_SPAN): 21 bits per axis in one int64 key."""
-EMPTY = -1
 MOST_MASS = 30.0
 """Cap of the mass of a stored point, in measurements of weight 1: so the map can still follow."""
 
 _jit = numba.njit(cache=True, nogil=True)
-
-
-@_jit
-def voxel_key(x, y, z, inverse_size):  # type: ignore[no-untyped-def]
-    """Key of the voxel that holds a point (int64), or EMPTY when it lies outside the grid."""
-    i = int(np.floor(x * inverse_size)) + HALF_SPAN
-    j = int(np.floor(y * inverse_size)) + HALF_SPAN
-    k = int(np.floor(z * inverse_size)) + HALF_SPAN
-    limit = 2 * HALF_SPAN
-    if i <= 0 or j <= 0 or k <= 0 or i >= limit - 1 or j >= limit - 1 or k >= limit - 1:
-        return EMPTY
-    return (i << 42) | (j << 21) | k
-
-
-@_jit
-def empty_table(count):  # type: ignore[no-untyped-def]
-    """Keys (C,) int64, all `EMPTY`, and values (C,) int32 of a hash table for `count` entries."""
-    capacity = 16
-    while capacity < 2 * count:
-        capacity *= 2
-    return np.full(capacity, EMPTY, np.int64), np.zeros(capacity, np.int32)
-
-
-@_jit
-def find_slot(table, key):  # type: ignore[no-untyped-def]
-    """Slot of a key in the open-addressing table (C,), or the free slot where it belongs."""
-    mask = len(table) - 1
-    slot = ((key * -7046029254386353131) >> 40) & mask
-    while table[slot] != EMPTY and table[slot] != key:
-        slot = (slot + 1) & mask
-    return slot
 
 
 @_jit
@@ -108,82 +79,130 @@ def insert(points, weights, origin, now_s, spacing_sq, grid, used):  # type: ign
         Voxels in use afterwards, and the row it stopped at (N unless the arrays are full).
     """
     inverse = 1.0 / grid.size
-    room = min(len(grid.counts), len(grid.table) // 2)
     for row in range(len(points)):
         x, y, z = points[row, 0], points[row, 1], points[row, 2]
         key = voxel_key(x, y, z, inverse)
         if key == EMPTY:
             continue
-        slot = find_slot(grid.table, key)
-        if grid.table[slot] == EMPTY:
-            if used >= room:
+        voxel = find_voxel(key, grid.slots, grid.keys)
+        if voxel < 0:
+            if used >= len(grid.keys) or not _settle(used, grid):
                 return used, row
-            grid.table[slot] = key
-            grid.slots[slot] = used
-            grid.keys[used] = key
-            grid.counts[used] = 0
+            voxel = used
+            grid.keys[voxel] = key
+            add_voxel(voxel, grid.slots, grid.keys)
             used += 1
-        voxel = grid.slots[slot]
-        count = grid.counts[voxel]
-        best, place = np.inf, 0
-        for i in range(count):
-            dx = grid.store[voxel, i, 0] - x
-            dy = grid.store[voxel, i, 1] - y
-            dz = grid.store[voxel, i, 2] - z
+        start, count = grid.spans[voxel, 0], grid.spans[voxel, 1]
+        best, place = np.inf, start
+        for i in range(start, start + count):
+            dx = grid.store[i, 0] - x
+            dy = grid.store[i, 1] - y
+            dz = grid.store[i, 2] - z
             d = dx * dx + dy * dy + dz * dz
             if d < best:
                 best, place = d, i
-        full = count >= grid.store.shape[1]
+        full = count >= grid.most
         if best < (4.0 if full else 1.0) * spacing_sq:
-            mass = grid.mass[voxel, place]
+            mass = grid.mass[place]
             share = weights[row] / (mass + weights[row])
-            grid.store[voxel, place, 0] += share * (x - grid.store[voxel, place, 0])
-            grid.store[voxel, place, 1] += share * (y - grid.store[voxel, place, 1])
-            grid.store[voxel, place, 2] += share * (z - grid.store[voxel, place, 2])
-            grid.mass[voxel, place] = min(mass + weights[row], MOST_MASS)
+            grid.store[place, 0] += share * (x - grid.store[place, 0])
+            grid.store[place, 1] += share * (y - grid.store[place, 1])
+            grid.store[place, 2] += share * (z - grid.store[place, 2])
+            grid.mass[place] = min(mass + weights[row], MOST_MASS)
         elif not full:
-            grid.store[voxel, count, 0] = x
-            grid.store[voxel, count, 1] = y
-            grid.store[voxel, count, 2] = z
-            grid.mass[voxel, count] = weights[row]
+            if count >= grid.spans[voxel, 2] and not _move(voxel, grid):
+                return used, row
+            place = grid.spans[voxel, 0] + count
+            grid.store[place, 0] = x
+            grid.store[place, 1] = y
+            grid.store[place, 2] = z
+            grid.mass[place] = weights[row]
             bx, by, bz = x - origin[0], y - origin[1], z - origin[2]
             far = max(np.sqrt(bx * bx + by * by + bz * bz), 1e-6)
-            grid.beam[voxel, count, 0] = bx / far
-            grid.beam[voxel, count, 1] = by / far
-            grid.beam[voxel, count, 2] = bz / far
-            grid.born[voxel, count] = now_s
-            grid.fitted[voxel, count] = 0
-            grid.counts[voxel] = count + 1
+            grid.beam[place, 0] = bx / far
+            grid.beam[place, 1] = by / far
+            grid.beam[place, 2] = bz / far
+            grid.born[place] = now_s
+            grid.fitted[place] = 0
+            grid.spans[voxel, 1] = count + 1
     return used, len(points)
+
+
+@_jit
+def _settle(voxel, grid):  # type: ignore[no-untyped-def]
+    """Give a new voxel its first row; false when there is none."""
+    start = pointrows.take(1, grid.free, grid.fitted)
+    if start < 0:
+        return False
+    grid.spans[voxel, 0], grid.spans[voxel, 1], grid.spans[voxel, 2] = start, 0, 1
+    return True
+
+
+@_jit
+def _move(voxel, grid):  # type: ignore[no-untyped-def]
+    """Move a full voxel to more rows; false when there are none."""
+    start, count, room = grid.spans[voxel, 0], grid.spans[voxel, 1], grid.spans[voxel, 2]
+    larger = pointrows.longer(room, grid.most)
+    to = pointrows.take(larger, grid.free, grid.fitted)
+    if to < 0:
+        return False
+    for i in range(count):
+        _copy(grid, start + i, grid, to + i)
+    pointrows.give_back(start, room, grid.free, grid.fitted)
+    grid.spans[voxel, 0], grid.spans[voxel, 2] = to, larger
+    return True
+
+
+@_jit
+def _copy(source, i, grid, k):  # type: ignore[no-untyped-def]
+    """Copy point i of one grid to row k of another, or of the same one, and its surface if any."""
+    for axis in range(3):
+        grid.store[k, axis] = source.store[i, axis]
+        grid.beam[k, axis] = source.beam[i, axis]
+    grid.mass[k] = source.mass[i]
+    grid.born[k] = source.born[i]
+    grid.fitted[k] = source.fitted[i]
+    if source.fitted[i] != 0:
+        for axis in range(5):
+            grid.surface[k, axis] = source.surface[i, axis]
+        grid.kind[k] = source.kind[i]
+        grid.support[k] = source.support[i]
+
+
+@_jit
+def pack(source, grid, used):  # type: ignore[no-untyped-def]
+    """Copy the points of all voxels side by side into a grid that shares the voxels of its source.
+
+    Args:
+        source: the level as it is.
+        grid: the same with other arrays of points and no row taken.
+        used: voxels in use.
+    """
+    for voxel in range(used):
+        start, count = source.spans[voxel, 0], source.spans[voxel, 1]
+        room = max(1, count)
+        to = pointrows.take(room, grid.free, grid.fitted)
+        for i in range(count):
+            _copy(source, start + i, grid, to + i)
+        grid.spans[voxel, 0], grid.spans[voxel, 2] = to, room
 
 
 @_jit
 def keep_near(centre, reach_sq, grid, used):  # type: ignore[no-untyped-def]
     """Drop empty voxels and voxels whose first point is farther than the reach; voxels in use."""
-    grid.table[:] = EMPTY
+    grid.slots[:] = -1
     kept = 0
     for voxel in range(used):
-        if grid.counts[voxel] == 0:
+        start, count, room = grid.spans[voxel, 0], grid.spans[voxel, 1], grid.spans[voxel, 2]
+        dx = grid.store[start, 0] - centre[0]
+        dy = grid.store[start, 1] - centre[1]
+        dz = grid.store[start, 2] - centre[2]
+        if count == 0 or dx * dx + dy * dy + dz * dz > reach_sq:
+            pointrows.give_back(start, room, grid.free, grid.fitted)
             continue
-        dx = grid.store[voxel, 0, 0] - centre[0]
-        dy = grid.store[voxel, 0, 1] - centre[1]
-        dz = grid.store[voxel, 0, 2] - centre[2]
-        if dx * dx + dy * dy + dz * dz > reach_sq:
-            continue
-        if kept != voxel:
-            grid.keys[kept] = grid.keys[voxel]
-            grid.counts[kept] = grid.counts[voxel]
-            grid.store[kept] = grid.store[voxel]
-            grid.mass[kept] = grid.mass[voxel]
-            grid.beam[kept] = grid.beam[voxel]
-            grid.born[kept] = grid.born[voxel]
-            grid.surface[kept] = grid.surface[voxel]
-            grid.kind[kept] = grid.kind[voxel]
-            grid.fitted[kept] = grid.fitted[voxel]
-            grid.support[kept] = grid.support[voxel]
-        slot = find_slot(grid.table, grid.keys[kept])
-        grid.table[slot] = grid.keys[kept]
-        grid.slots[slot] = kept
+        grid.keys[kept] = grid.keys[voxel]
+        grid.spans[kept] = grid.spans[voxel]
+        add_voxel(kept, grid.slots, grid.keys)
         kept += 1
     return kept
 
@@ -198,22 +217,20 @@ def erase_near(points, reach_sq, grid):  # type: ignore[no-untyped-def]
         key = voxel_key(x, y, z, inverse)
         if key == EMPTY:
             continue
-        slot = find_slot(grid.table, key)
-        if grid.table[slot] == EMPTY:
+        voxel = find_voxel(key, grid.slots, grid.keys)
+        if voxel < 0:
             continue
-        voxel = grid.slots[slot]
-        i = 0
-        while i < grid.counts[voxel]:
-            dx = grid.store[voxel, i, 0] - x
-            dy = grid.store[voxel, i, 1] - y
-            dz = grid.store[voxel, i, 2] - z
+        i = grid.spans[voxel, 0]
+        end = i + grid.spans[voxel, 1]
+        while i < end:
+            dx = grid.store[i, 0] - x
+            dy = grid.store[i, 1] - y
+            dz = grid.store[i, 2] - z
             if dx * dx + dy * dy + dz * dz <= reach_sq:
-                grid.counts[voxel] -= 1
-                grid.store[voxel, i] = grid.store[voxel, grid.counts[voxel]]
-                grid.mass[voxel, i] = grid.mass[voxel, grid.counts[voxel]]
-                grid.beam[voxel, i] = grid.beam[voxel, grid.counts[voxel]]
-                grid.born[voxel, i] = grid.born[voxel, grid.counts[voxel]]
-                grid.fitted[voxel, i] = 0
+                end -= 1
+                _copy(grid, end, grid, i)
+                grid.fitted[i] = 0
+                grid.spans[voxel, 1] -= 1
                 removed += 1
             else:
                 i += 1
@@ -229,7 +246,7 @@ def mean_distance(points, R, t, grid):  # type: ignore[no-untyped-def]
         x = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + t[0]
         y = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz + t[1]
         z = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2]
-        total += np.sqrt(nearest(x, y, z, grid)[2])
+        total += np.sqrt(nearest(x, y, z, grid)[1])
     return total / max(1, len(points))
 
 
@@ -238,14 +255,14 @@ def nearest(x, y, z, grid):  # type: ignore[no-untyped-def]
     """Stored point nearest to a place, within one voxel edge.
 
     Returns:
-        Voxel (-1 = none), number in it, squared distance (the squared edge when there is none).
+        Its row (-1 = none), squared distance (the squared edge when there is none).
     """
     size = grid.size
     best = size * size
-    voxel_found, place = -1, 0
+    place = -1
     centre = voxel_key(x, y, z, 1.0 / size)
     if centre == EMPTY:
-        return voxel_found, place, best
+        return place, best
     # Distance to the lower and upper face of the own voxel: a neighbour cannot be nearer.
     fx = x / size - np.floor(x / size)
     fy = y / size - np.floor(y / size)
@@ -262,30 +279,28 @@ def nearest(x, y, z, grid):  # type: ignore[no-untyped-def]
                     gz = 0.0 if dk == 0 else (fz if dk < 0 else 1.0 - fz)
                     if (gx * gx + gy * gy + gz * gz) * size * size >= best:
                         continue
-                    slot = find_slot(grid.table, centre + (di << 42) + (dj << 21) + dk)
-                    if grid.table[slot] == EMPTY:
+                    key = centre + (di << 42) + (dj << 21) + dk
+                    voxel = find_voxel(key, grid.slots, grid.keys)
+                    if voxel < 0:
                         continue
-                    voxel = grid.slots[slot]
-                    for i in range(grid.counts[voxel]):
-                        dx = grid.store[voxel, i, 0] - x
-                        dy = grid.store[voxel, i, 1] - y
-                        dz = grid.store[voxel, i, 2] - z
+                    start = grid.spans[voxel, 0]
+                    for i in range(start, start + grid.spans[voxel, 1]):
+                        dx = grid.store[i, 0] - x
+                        dy = grid.store[i, 1] - y
+                        dz = grid.store[i, 2] - z
                         d = dx * dx + dy * dy + dz * dz
                         if d < best:
-                            best, voxel_found, place = d, voxel, i
-    return voxel_found, place, best
+                            best, place = d, i
+    return place, best
 
 
 @_jit
-def gather(counts, store, used):  # type: ignore[no-untyped-def]
+def gather(spans, store, used):  # type: ignore[no-untyped-def]
     """All stored points as (N, 3) float32."""
-    total = 0
-    for voxel in range(used):
-        total += counts[voxel]
-    points = np.empty((total, 3), np.float32)
+    points = np.empty((spans[:used, 1].sum(), 3), np.float32)
     row = 0
     for voxel in range(used):
-        for i in range(counts[voxel]):
-            points[row] = store[voxel, i]
-            row += 1
+        start, count = spans[voxel, 0], spans[voxel, 1]
+        points[row : row + count] = store[start : start + count]
+        row += count
     return points

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+import torch
 
 from hybridreg_ros import HybridReg
 from hybridreg_ros.core import se3
@@ -17,6 +18,7 @@ from hybridreg_ros.model.confidence import Calibration, ConfidenceFeatures
 from hybridreg_ros.model.neighbours import CellList
 from hybridreg_ros.model.normals import surface_normals
 from hybridreg_ros.model.posterior import posterior_sigma2
+from hybridreg_ros.model.pyramid import build_pyramid
 from hybridreg_ros.model.refine import refine
 from hybridreg_ros.model.views import View
 from hybridreg_ros.model.voxel_size import choose_voxel_size_m
@@ -55,6 +57,17 @@ def test_register_equals_encode_and_match(model: HybridReg, room: np.ndarray) ->
     np.testing.assert_array_equal(one.T_target_source, two.T_target_source)
     np.testing.assert_array_equal(one.source_uncertainty, two.source_uncertainty)
     assert one.confidence == two.confidence
+
+
+def test_encodings_keep_no_operators_of_the_backbone(model: HybridReg, room: np.ndarray) -> None:
+    pyramid = build_pyramid(room, 0.05, model.config)
+    kept = model.encode(room, 0.05).encoding
+    assert all(v.conv is v.pool is v.pool_index is None for v in kept.pyramid.levels)
+    assert all(v.conv is not None for v in pyramid.levels)
+    with torch.no_grad():
+        whole = model.net.encode(pyramid)
+        one, two = model.net.match(whole, whole), model.net.match(kept, kept)
+    np.testing.assert_array_equal(one.weights, two.weights)
 
 
 def test_encode_keeps_the_first_voxel_size(compact_net: HybridRegNet, room: np.ndarray) -> None:

@@ -18,7 +18,7 @@ from hybridreg_ros.odometry.confidence import Evidence, Verdict, of_evidence
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.fallback import Fallback
 from hybridreg_ros.odometry.frontend import HybridOdometry
-from hybridreg_ros.odometry.located import Candidate, against_motion, rank
+from hybridreg_ros.odometry.located import Candidate, against_motion, is_worth_it, rank
 from hybridreg_ros.odometry.motion import Expected, Motion
 from hybridreg_ros.odometry.refine import Fit
 from hybridreg_ros.odometry.result import Reason
@@ -75,6 +75,21 @@ def test_a_rival_is_another_pose_as_plausible() -> None:
     assert rival(AT, [same], 0.1) == pytest.approx(0.0, abs=1e-6)
     assert rival(AT, [same, near], 0.1) == pytest.approx(0.4)
     assert rival(AT, [same, near, far, poor], 0.1) == pytest.approx(0.6)
+
+
+def test_a_pose_that_little_speaks_for_is_worth_it_only_as_expected_and_without_a_rival() -> None:
+    doubtful = replace(candidate(AT, 0.01), surprise=-0.5)
+    poor = replace(candidate(AT @ moved(0.3, 0.0), 0.1), evidence=Evidence(0.9, 0.9, 0.6, 0.3))
+    assert 0.01 < of_evidence(poor.evidence) < 0.3
+    assert is_worth_it(doubtful, [doubtful, poor], 0.1, 0.3)
+    assert not is_worth_it(replace(doubtful, surprise=0.1), [doubtful, poor], 0.1, 0.3)
+    # One that the motion refuses counts by what speaks for it; one that is the same does not.
+    refused = Verdict(0.0, Reason.DISAGREES_WITH_MOTION)
+    better = replace(candidate(AT @ moved(0.3, 20.0), 0.0), verdict=refused)
+    assert of_evidence(better.evidence) > 0.5
+    assert rival(AT, [better], 0.1) == 0.0
+    assert not is_worth_it(doubtful, [doubtful, poor, better], 0.1, 0.3)
+    assert is_worth_it(doubtful, [doubtful, candidate(AT @ moved(0.001, 0.0), 0.9)], 0.1, 0.3)
 
 
 def test_far_poses_lose_to_near_ones_that_fit_almost_as_well() -> None:

@@ -121,19 +121,22 @@ def test_few_cubes_are_made_finer_for_the_registration() -> None:
 
 
 @pytest.mark.parametrize(
-    ('confidence', 'held_m', 'overlap', 'written'),
+    ('confidence', 'held_m', 'overlap', 'tentative', 'written'),
     [
-        (0.5, 0.005, 0.95, False),
-        (0.5, 0.005, 0.5, True),
-        (0.95, 0.005, 0.95, True),
-        (0.95, 0.02, 0.95, False),
-        (0.95, 0.02, 0.5, True),
+        (0.5, 0.005, 0.95, False, False),
+        (0.5, 0.005, 0.5, False, True),
+        (0.2, 0.005, 0.5, True, False),
+        (0.95, 0.005, 0.95, False, True),
+        (0.95, 0.02, 0.95, False, False),
+        (0.95, 0.02, 0.5, False, True),
     ],
 )
 def test_a_doubtful_or_loose_scan_is_written_only_where_the_map_is_empty(
-    confidence: float, held_m: float, overlap: float, written: bool
+    confidence: float, held_m: float, overlap: float, tentative: bool, written: bool
 ) -> None:
     fit = Fit(np.eye(4), np.eye(6), overlap, 0.01, True, 1e-6 * np.eye(6))
     evidence = Evidence(overlap, 1.0, 0.9, weakness=weakness(held_m))
-    found = Located(fit, evidence, Source.KISS_ICP, Reason.OK, confidence, confidence)
+    found = Located(
+        fit, evidence, Source.KISS_ICP, Reason.OK, confidence, confidence, tentative=tentative
+    )
     assert found.adds_to_map(GateConfig(), 0.05) is written

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from tiny_world import depth_rays, lidar_rays, pose, scans, walk
+from tiny_world import ROOM, depth_rays, lidar_rays, pose, scans, walk
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import NS_PER_S, Scan
@@ -87,21 +87,22 @@ def test_covered_sensor_is_lost_and_recovers_where_it_is() -> None:
     assert results[-1].confidence > 0.9
 
 
-def with_crowd(scan: Scan, seed: int) -> Scan:
-    """The scan with something rough close in front of the left half of the view."""
+def with_crowd(scan: Scan, seed: int, share: float = 0.5) -> Scan:
+    """The scan with something rough close in front of one side of the view."""
     rng = np.random.default_rng(seed)
     points = scan.points.copy()
     bearing = points[:, 1] / points[:, 0]
-    hidden = bearing < np.median(bearing)
+    hidden = bearing < np.quantile(bearing, share)
     points[hidden] *= rng.uniform(0.5, 0.6, (hidden.sum(), 1))
     return with_points(scan, points)
 
 
-def test_a_crowd_that_comes_at_once_is_doubted_but_not_lost() -> None:
+@pytest.mark.parametrize('share', [0.3, 0.5, 0.7])
+def test_a_crowd_that_comes_at_once_is_doubted_but_not_lost(share: float) -> None:
     poses, faster = walk(6), walk(7, step_m=0.1)
     poses += [poses[-1] @ se3.inverse(faster[0]) @ T for T in faster[1:]]
     clouds = scans(poses, depth_rays())
-    clouds[6:] = [with_crowd(scan, k) for k, scan in enumerate(clouds[6:])]
+    clouds[6:] = [with_crowd(scan, k, share) for k, scan in enumerate(clouds[6:])]
     results = run(clouds)
     assert results[6].confidence < 0.3
     assert results[6].reason is Reason.LOW_CONFIDENCE
@@ -112,6 +113,33 @@ def test_a_crowd_that_comes_at_once_is_doubted_but_not_lost() -> None:
         assert np.linalg.norm(off[:3, 3]) < 0.005
     lost = run(clouds[:7], OdometryConfig(lost=LostConfig(after_bad_frames=1)))
     assert is_lost(lost[-1])
+
+
+def test_a_walk_that_turns_back_at_once_is_not_taken_for_one_that_goes_on() -> None:
+    """The scans stand better elsewhere than where the motion so far leads."""
+    way = walk(20)
+    results = run(scans([*way, *way[::-1], *way], lidar_rays(120, 16), world=ROOM))
+    assert sum(is_lost(r) for r in results) <= 6  # 25 when poses as expected are always taken
+    start = se3.inverse(way[0])
+    assert np.linalg.norm((se3.inverse(start @ way[-1]) @ results[-1].pose)[:3, 3]) < 0.1
+
+
+def test_a_tentative_pose_changes_neither_the_map_nor_the_past() -> None:
+    poses = walk(7)
+    clouds = scans(poses, depth_rays())
+    odometry = HybridOdometry(model=None)
+    for scan in clouds[:6]:
+        odometry.step(scan)
+    assert odometry._tracker is not None
+    scene = odometry._tracker._scene
+    before, last = scene.map.updates, scene.sightings._last
+    past = list(scene.dynamics._past)
+    doubted = odometry.step(with_crowd(clouds[6], 6))
+    assert doubted.reason is Reason.LOW_CONFIDENCE
+    assert not is_lost(doubted)
+    assert scene.map.updates == before
+    assert scene.dynamics._past == past
+    assert scene.sightings._last is not last
 
 
 def test_close_to_the_prediction_is_looked_once_and_only_in_doubt(

@@ -4,13 +4,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 from tiny_world import depth_rays, scans, walk
 
+from hybridreg_ros.replay import suite_data
+from hybridreg_ros.replay.suite_list import SEQUENCES
+
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
     from types import ModuleType
 
 
@@ -26,6 +32,18 @@ def test_frames_are_played_forth_and_back(
     report: ModuleType, count: int, frames: list[int]
 ) -> None:
     assert [report.looped(count, k) for k in range(5)] == frames
+
+
+def test_scans_of_a_loop_are_not_bent(report: ModuleType, tmp_path: Path) -> None:
+    street = replace(SEQUENCES['dev-street-8301'], frames=2)
+    bent = suite_data.load(street, tmp_path, tmp_path)
+    assert bent[0].scan.times is not None
+    loop = report.loop_of(street, tmp_path, tmp_path)
+    assert [s.times for s in loop] == [None, None]
+    speed = np.linalg.norm(bent[1].T_world_sensor[:3, 3] - bent[0].T_world_sensor[:3, 3]) / 0.1
+    late = bent[0].scan.times.argmax()
+    off = np.linalg.norm(loop[0].points[late] - bent[0].scan.points[late])
+    assert off == pytest.approx(speed * bent[0].scan.times[late], rel=0.3)
 
 
 def test_growth_is_counted_from_where_the_loop_has_settled(

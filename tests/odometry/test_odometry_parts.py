@@ -350,5 +350,5 @@ def test_memory_stays_bounded_over_many_frames() -> None:
         odometry.step(Scan(points, stamp=10.0 + 0.1 * k, frame_id='s'))
         tracker = odometry._tracker
         assert tracker is not None
-        sizes.append(len(tracker._map.fine.points()))
+        sizes.append(len(tracker._scene.map.fine.points()))
     assert sizes[-1] <= 1.02 * sizes[15]

@@ -116,11 +116,11 @@ def test_a_velocity_that_proves_wrong_leaves_the_first_map_as_it_was(
     odometry.step(scans[0])
     tracker = odometry._tracker
     assert tracker is not None
-    before = tracker._map.fine.points()
+    before = tracker._scene.map.fine.points()
     real, calls = tracker._locator.locate, []
 
     def once(*args: Any) -> Any:
-        calls.append(tracker._map.fine.points())
+        calls.append(tracker._scene.map.fine.points())
         return real(*args) if len(calls) == 1 else Reason.NO_OVERLAP
 
     monkeypatch.setattr(tracker._locator, 'locate', once)
@@ -129,7 +129,7 @@ def test_a_velocity_that_proves_wrong_leaves_the_first_map_as_it_was(
     assert not np.array_equal(calls[1], before), 'the map was made anew with the velocity'
     assert second.source is not Source.LOST
     assert second.confidence > 0.5
-    stored = {tuple(p) for p in tracker._map.fine.points().round(3)}
+    stored = {tuple(p) for p in tracker._scene.map.fine.points().round(3)}
     assert len(stored & {tuple(p) for p in before.round(3)}) > 0.3 * len(before)
     monkeypatch.undo()
     assert odometry.step(scans[2]).confidence > 0.5

@@ -111,7 +111,8 @@ def test_a_stiff_pose_beats_a_loose_one_only_where_the_motion_is_old() -> None:
 
 
 def test_confidence_falls_with_all_that_speaks_against_a_pose() -> None:
-    usual = Claim(log_odds(0.99), -1.5, -1.2, -0.5, 0.0)
+    usual = Claim(log_odds(0.999), -1.5, -1.2, -0.5, 0.0)
+    assert usual.confidence < 0.999, 'the evidence is not what holds it down'
     against = [
         replace(usual, evident=log_odds(0.8)),
         replace(usual, unmatched=-0.3),

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from docs_tables import put
 
 from hybridreg_ros.core import provenance
+from hybridreg_ros.core.pages import resident_mb
 from hybridreg_ros.core.scan import NS_PER_S, Scan
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.result import Source
@@ -39,12 +39,6 @@ FRAMES = 100
 """Of a sequence; more are not looped over."""
 SETTLED = 100
 """Steps after which growth counts: by then libraries are loaded and kernels compiled."""
-
-
-def resident_mb() -> float:
-    """Resident memory of this process."""
-    pages = int(Path('/proc/self/statm').read_text('ascii').split()[1])
-    return pages * resource.getpagesize() / 1e6
 
 
 def looped(count: int, step: int) -> int:
@@ -70,6 +64,11 @@ def loop_of(sequence: SuiteSequence, data: Path, cache: Path) -> list[Scan]:
 def measure(clouds: Sequence[Scan], period_s: float, steps: int) -> dict[str, Any]:
     """Run the front end on the looped clouds.
 
+    Args:
+        clouds: scans in order, sensor frame, metres.
+        period_s: seconds from one to the next.
+        steps: scans to give it, more than `5 * SETTLED`.
+
     Returns:
         Resident memory in MB by step, and how many poses were the network's.
     """
@@ -86,7 +85,7 @@ def measure(clouds: Sequence[Scan], period_s: float, steps: int) -> dict[str, An
 
 
 def table(rows: dict[str, dict[str, Any]]) -> str:
-    """Markdown."""
+    """Markdown of rows by sequence: what `measure` gives, `points` of a scan and `steps`."""
     lines = [
         f'| sequence | points | steps | by network | MB after {SETTLED} steps | after '
         f'{5 * SETTLED} | at the end | grown by |',
@@ -110,8 +109,10 @@ def main() -> None:
     parser.add_argument('--data', type=Path, default=Path('../shared/data'), help='recordings')
     parser.add_argument('--cache', type=Path, default=Path('out/suite/cache'), help='simulated')
     args = parser.parse_args()
-    if args.sequence not in SEQUENCES or args.steps <= 5 * SETTLED:
-        parser.error(f'needs a sequence of the suites and more than {5 * SETTLED} steps')
+    if args.sequence not in SEQUENCES:
+        parser.error(f'sequence: {args.sequence!r} is none of {", ".join(SEQUENCES)}')
+    if args.steps <= 5 * SETTLED:
+        parser.error(f'--steps: expected more than {5 * SETTLED}, found {args.steps}')
     sequence = SEQUENCES[args.sequence]
     clouds = loop_of(sequence, args.data, args.cache)
     row = measure(clouds, sequence.period_s, args.steps)

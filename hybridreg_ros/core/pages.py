@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import mmap
+import resource
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,3 +28,9 @@ def zeros(shape: int | tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
     size = max(1, int(np.prod(shape, dtype=np.int64)) * np.dtype(dtype).itemsize)
     pages = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     return np.ndarray(shape, dtype, buffer=pages)
+
+
+def resident_mb() -> float:
+    """Resident memory of this process, MB (10^6 bytes; Linux)."""
+    pages = int(Path('/proc/self/statm').read_text('ascii').split()[1])
+    return pages * resource.getpagesize() / 1e6

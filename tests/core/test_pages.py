@@ -4,18 +4,10 @@
 
 from __future__ import annotations
 
-import resource
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from hybridreg_ros.core.pages import zeros
-
-
-def resident_mb() -> float:
-    pages = int(Path('/proc/self/statm').read_text('ascii').split()[1])
-    return pages * resource.getpagesize() / 1e6
+from hybridreg_ros.core.pages import resident_mb, zeros
 
 
 @pytest.mark.parametrize('shape', [(), 0, 7, (5, 3), (0, 4)])

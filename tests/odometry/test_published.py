@@ -128,14 +128,9 @@ def test_teleport_is_lost_then_a_new_map_is_announced(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_memory_does_not_grow_over_a_looped_sequence() -> None:
     """2,000 frames round a loop of 40 poses: after the first rounds nothing may grow."""
-    from pathlib import Path
-
+    from hybridreg_ros.core.pages import resident_mb
     from hybridreg_ros.odometry.config import OdometryConfig
     from hybridreg_ros.odometry.frontend import HybridOdometry
-
-    def resident_mb() -> float:
-        pages = int(Path('/proc/self/statm').read_text('ascii').split()[1])
-        return pages * 4096 / 1e6
 
     way = walk(20)
     clouds = scans(way + way[::-1], lidar_rays(120, 16), world=ROOM)

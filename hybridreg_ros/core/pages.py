@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import mmap
 import resource
 from pathlib import Path
@@ -28,6 +29,32 @@ def zeros(shape: int | tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
     size = max(1, int(np.prod(shape, dtype=np.int64)) * np.dtype(dtype).itemsize)
     pages = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     return np.ndarray(shape, dtype, buffer=pages)
+
+
+def paged(array: NDArray[Any]) -> NDArray[Any]:
+    """A copy of an array in pages of its own, for what is kept for long."""
+    copy = zeros(array.shape, array.dtype)
+    copy[...] = array
+    return copy
+
+
+def has_pages(array: NDArray[Any]) -> bool:
+    """Whether an array lies in pages that `zeros` made."""
+    owner: Any = array
+    while isinstance(owner, np.ndarray):
+        owner = owner.base
+    return isinstance(owner.obj if isinstance(owner, memoryview) else owner, mmap.mmap)
+
+
+def give_back() -> None:
+    """Give the free part of the heap back to the system, where the C library is GNU's.
+
+    It takes a few ms where much is free: for after work that takes long and much memory. Without
+    it the heap grows, since small values that stay come to lie between large ones that go.
+    """
+    trim = getattr(ctypes.CDLL(None), 'malloc_trim', None)
+    if trim is not None:
+        trim(0)
 
 
 def resident_mb() -> float:

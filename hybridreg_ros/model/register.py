@@ -111,8 +111,14 @@ class HybridReg:
         cloud = _as_cloud(points)
         if voxel_size_m is None:
             voxel_size_m = self.voxel_size_m = self.voxel_size_m or self._voxel_m(cloud)
-        pyramid = build_pyramid(cloud, float(voxel_size_m), self.config)
-        encoding, view = settled(self._encoding(pyramid)), settled(view_of(pyramid))
+        return settled(self._encoded(cloud, float(voxel_size_m), start))
+
+    def _encoded(
+        self, cloud: NDArray[np.float32], voxel_size_m: float, start: float
+    ) -> EncodedCloud:
+        """One cloud by itself; `start` is when it was begun."""
+        pyramid = build_pyramid(cloud, voxel_size_m, self.config)
+        encoding, view = self._encoding(pyramid), view_of(pyramid)
         return EncodedCloud(encoding, view, len(cloud), time.perf_counter() - start)
 
     @torch.no_grad()
@@ -127,7 +133,8 @@ class HybridReg:
         with ThreadPoolExecutor(1) as beside:
             pyramid = beside.submit(build_pyramid, large, voxel_size_m, self.config)
             encoding = beside.submit(lambda: self._encoding(pyramid.result()))
-            first, view = self.encode(small, voxel_size_m), view_of(pyramid.result())
+            first = self._encoded(small, voxel_size_m, start)
+            view = view_of(pyramid.result())
             known = encoding.result()
         return first, EncodedCloud(known, view, len(large), time.perf_counter() - start)
 

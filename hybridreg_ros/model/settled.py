@@ -4,43 +4,63 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, is_dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
 
-from hybridreg_ros.core.pages import zeros
-from hybridreg_ros.model.grid import Grid
+from hybridreg_ros.core.nested import mapped
+from hybridreg_ros.core.pages import has_pages, zeros
 
-_LARGE = 1 << 16
-"""Bytes from which an array gets pages of its own; smaller ones leave small holes."""
+_T = TypeVar('_T')
+_LINE = 64
+"""Bytes at whose multiples arrays start, as the allocator of torch has it."""
 
 
-def settled(value: Any) -> Any:
-    """The same value with each large array and tensor in pages of its own (`core/pages.py`).
+def settled(value: _T) -> _T:
+    """The same value with its arrays and tensors side by side in pages of their own.
 
-    Between tensors that are kept the heap of the C library has holes into which later, larger ones
-    do not fit, so that it grows for as long as clouds of different sizes come.
+    Kept on the heap of the C library, they leave holes between them into which later, larger ones
+    do not fit, so that it grows for as long as clouds of different sizes come. What lies in such
+    pages already stays, and so does what is no contiguous array on the CPU. Arrays that share
+    their memory do so afterwards.
 
     Args:
-        value: array, tensor on the CPU, or frozen dataclass or tuple of such; else returned as is.
+        value: array, tensor, or frozen dataclass or tuple of such (`core.nested`).
     """
-    if isinstance(value, Grid):  # made in pages of its own
-        return value
-    if is_dataclass(value) and not isinstance(value, type):
-        parts = {f.name: settled(getattr(value, f.name)) for f in fields(value)}
-        return replace(value, **parts)
-    if type(value) is tuple:
-        return tuple(settled(v) for v in value)
-    if isinstance(value, torch.Tensor) and not value.is_cuda and value.is_contiguous():
-        return value if _is_small(value) else torch.from_numpy(settled(value.numpy()))
-    if isinstance(value, np.ndarray) and value.flags.c_contiguous and not _is_small(value):
-        copy = zeros(value.shape, value.dtype)
-        copy[...] = value
-        return copy
-    return value
+    places: dict[tuple[int, int], int] = {}
+    size = 0
+
+    def place(leaf: Any) -> None:
+        nonlocal size
+        array = _movable(leaf)
+        if array is not None and _memory(array) not in places:
+            places[_memory(array)] = size
+            size += -(-array.nbytes // _LINE) * _LINE
+
+    def moved(leaf: Any) -> Any:
+        array = _movable(leaf)
+        if array is None:
+            return leaf
+        start = places[_memory(array)]
+        copy = room[start : start + array.nbytes].view(array.dtype).reshape(array.shape)
+        copy[...] = array
+        return torch.from_numpy(copy) if isinstance(leaf, torch.Tensor) else copy
+
+    mapped(value, place)
+    room = zeros(size, np.uint8)
+    return mapped(value, moved)  # type: ignore[no-any-return]
 
 
-def _is_small(value: torch.Tensor | np.ndarray) -> bool:
-    return value.nbytes < _LARGE
+def _movable(leaf: Any) -> np.ndarray | None:
+    """The array or tensor as an array, None if it is to stay where it is."""
+    if isinstance(leaf, torch.Tensor) and leaf.device.type == 'cpu' and not leaf.requires_grad:
+        leaf = leaf.numpy()
+    if not isinstance(leaf, np.ndarray) or not leaf.flags.c_contiguous:
+        return None
+    return None if leaf.nbytes == 0 or has_pages(leaf) else leaf
+
+
+def _memory(array: np.ndarray) -> tuple[int, int]:
+    """Where the values of an array lie: address and bytes."""
+    return array.ctypes.data, array.nbytes

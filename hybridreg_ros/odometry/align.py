@@ -34,7 +34,6 @@ def fit_surface(i, grid, wider, widest, update, room):  # type: ignore[no-untype
             n, nx, ny, nz, offset, variance = fit_around(x, y, z, widest, room)
         if _edge_on(nx, ny, nz, beam):
             n = 0
-    grid.kind[i] = PLANE if n > 0 else POINT
     grid.surface[i, 0] = nx
     grid.surface[i, 1] = ny
     grid.surface[i, 2] = nz
@@ -76,7 +75,7 @@ def _surface_of(x, y, z, grid, wider, widest, update, room):  # type: ignore[no-
 @_jit
 def _on_plane(x, y, z, grid, i, slack):  # type: ignore[no-untyped-def]
     """Whether a place lies on the surface of a stored point, if that is a plane."""
-    if i < 0 or grid.kind[i] != PLANE:
+    if i < 0 or grid.support[i] == 0:
         return False
     off = -float(grid.surface[i, 3])
     off += (x - grid.store[i, 0]) * grid.surface[i, 0]
@@ -125,7 +124,7 @@ def associate(points, R, t, grid, wider, widest, update, kind, anchor, normal, v
                 continue
         if i < 0:
             continue
-        kind[row] = level.kind[i]
+        kind[row] = PLANE if level.support[i] > 0 else POINT
         born[row] = level.born[i]
         offset = level.surface[i, 3]
         for axis in range(3):

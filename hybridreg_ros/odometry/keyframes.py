@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.core import se3
+from hybridreg_ros.core.pages import paged
 from hybridreg_ros.core.scan import NS_PER_S
 
 if TYPE_CHECKING:
@@ -65,6 +66,11 @@ class Keyframes:
         """The newest keyframe."""
         return self._frames[-1] if self._frames else None
 
+    @property
+    def recent(self) -> list[Keyframe]:
+        """The newest few: those that a scan may be matched against while it is not lost."""
+        return list(self._frames)[-self._config.window :]
+
     def wanted(self, pose: NDArray[np.float64], stamp: int, overlap: float) -> bool:
         """Whether a scan at this pose should become a keyframe.
 
@@ -91,21 +97,20 @@ class Keyframes:
         points: NDArray[np.float32],
     ) -> Keyframe:
         """Keep a scan; the oldest one goes when the memory is full."""
-        frame = Keyframe(self._next, stamp, pose, points)
+        frame = Keyframe(self._next, stamp, pose, paged(points))
         self._frames.append(frame)
         self._next += 1
         return frame
 
     def mend(self, pose: NDArray[np.float64], points: NDArray[np.float32]) -> Keyframe:
         """Put the newest keyframe elsewhere, with other points; its number stays."""
-        frame = replace(self._frames.pop(), T_odom_keyframe=pose, points=points)
+        frame = replace(self._frames.pop(), T_odom_keyframe=pose, points=paged(points))
         self._frames.append(frame)
         return frame
 
     def to_match(self, predicted: NDArray[np.float64]) -> Keyframe | None:
         """Of the newest few, the one nearest to where the sensor should be (turns count too)."""
-        recent = list(self._frames)[-self._config.window :]
-        return min(recent, key=lambda f: self._distance(f, predicted)) if recent else None
+        return min(self.recent, key=lambda f: self._distance(f, predicted), default=None)
 
     def nearest(self, pose: NDArray[np.float64], count: int) -> list[Keyframe]:
         """The keyframes nearest to a pose, for relocalisation."""

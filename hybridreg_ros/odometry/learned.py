@@ -9,8 +9,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
 from hybridreg_ros.core.errors import ConfigError, RegistrationError, WeightsError
+from hybridreg_ros.core.pages import give_back
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     import numpy as np
     from numpy.typing import NDArray
 
@@ -77,8 +80,8 @@ class LearnedBranch:
 
     Args:
         registrar: the network.
-        memory: keyframes whose encoding is kept, those that were asked for last. Those of our
-            recordings take 2 to 5 MB.
+        memory: keyframes whose encoding is kept at most, those that were asked for last. Those
+            of our recordings take 2 to 5 MB.
     """
 
     def __init__(self, registrar: Registrar, memory: int) -> None:
@@ -90,6 +93,8 @@ class LearnedBranch:
 
     def begin(self, points: NDArray[np.float32]) -> None:
         """Take up a new scan (M, 3), sensor frame, metres."""
+        if self._encoding is not None:
+            give_back()
         self._points, self._encoding = points, None
 
     def adopt(self, keyframe: Keyframe) -> None:
@@ -100,6 +105,11 @@ class LearnedBranch:
     def forget(self, keyframe: Keyframe) -> None:
         """A keyframe has changed: encode it anew when it is matched next."""
         self._keyframes.pop(keyframe.number, None)
+
+    def keep_only(self, keyframes: Iterable[Keyframe]) -> None:
+        """Let go of the encodings of all other keyframes: they are not asked for any more."""
+        numbers = {keyframe.number for keyframe in keyframes}
+        self._keyframes = {n: e for n, e in self._keyframes.items() if n in numbers}
 
     def _keep(self, keyframe: Keyframe, encoding: Any) -> None:
         """Keep an encoding as the one that was asked for last."""

@@ -130,7 +130,6 @@ def _no_points(count: int) -> dict[str, Any]:
         'beam': zeros((count, 3), np.float32),
         'born': zeros(count, np.float32),
         'surface': zeros((count, 5), np.float32),
-        'kind': zeros(count, np.int8),
         'fitted': zeros(count, np.int32),
         'support': zeros(count, np.int16),
     }

@@ -5,6 +5,7 @@
 # ruff: noqa: PLR0913, PLR0917 (kernels take plain arrays, named in `VoxelLevel`)
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ import numba
 import numpy as np
 
 from hybridreg_ros.core import se3
+from hybridreg_ros.core.pages import paged
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -125,6 +127,13 @@ class RangeImage:
         # slanted surfaces and edges do not look like things that moved.
         self._near, self._far = _widen(near, far, view.wraps)
         self._inside = _inside(far > 0.0, view.wraps)
+
+    def paged(self) -> RangeImage:
+        """The same image in pages of its own (`core.pages`), for one that is kept for long."""
+        other = copy(self)
+        other._near, other._far = paged(np.stack([self._near, self._far]))
+        other._inside = paged(self._inside)
+        return other
 
     def stand(
         self,

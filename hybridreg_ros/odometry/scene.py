@@ -58,12 +58,16 @@ class Scene:
         self.sightings = Sightings(sensor, config.keyframe.memory)
         self.dynamics = Dynamics(config.dynamics, sensor)
 
-    def begin(self, cloud: Cloud, pose: F64, stamp: int) -> None:
-        """Take a first scan at a pose (4, 4) as it is; its keyframe is up to the caller."""
-        image, still = self.sightings.draw(cloud, pose), np.ones(len(cloud.points), np.bool_)
-        self._remember(cloud, pose, stamp, image, still)
-        self._write(cloud, pose, stamp, still)
-        self.sightings.keep(image, is_keyframe=True)
+    def begin(self, cloud: Cloud, pose: F64, stamp: int) -> Keyframe:
+        """Take a first scan at a pose (4, 4) as it is; it becomes a keyframe."""
+        self._open(cloud, pose, stamp)
+        return self.keyframes.add(pose, stamp, cloud.map_points)
+
+    def begin_again(self, cloud: Cloud, pose: F64, stamp: int) -> Keyframe:
+        """Put the newest keyframe elsewhere; all else but older keyframes is forgotten."""
+        self.forget()
+        self._open(cloud, pose, stamp)
+        return self.keyframes.mend(pose, cloud.map_points)
 
     def moving(self, cloud: Cloud, found: Located) -> tuple[F32, RangeImage]:
         """P(dynamic) of the points (N,) of a scan, and what the scan saw.
@@ -110,6 +114,13 @@ class Scene:
         """Forget all but the keyframes."""
         for part in (self.map, self.dynamics, self.sightings):
             part.clear()
+
+    def _open(self, cloud: Cloud, pose: F64, stamp: int) -> None:
+        """Let the map, the past and what was seen be those of one scan."""
+        image, still = self.sightings.draw(cloud, pose), np.ones(len(cloud.points), np.bool_)
+        self._remember(cloud, pose, stamp, image, still)
+        self._write(cloud, pose, stamp, still)
+        self.sightings.keep(image, is_keyframe=True)
 
     def _remember(
         self, cloud: Cloud, pose: F64, stamp: int, image: RangeImage, still: Mask

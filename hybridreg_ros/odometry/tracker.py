@@ -154,12 +154,10 @@ class Tracker:
 
     def _restart(self, cloud: Cloud, pose: F64, stamp: int) -> None:
         """Let the map, the past and the newest keyframe be those of one cloud."""
-        self._scene.forget()
         self._stop(stamp, pose)
-        keyframe = self._scene.keyframes.mend(pose, cloud.map_points)
+        keyframe = self._scene.begin_again(cloud, pose, stamp)
         if self._learned is not None:
             self._learned.forget(keyframe)
-        self._scene.begin(cloud, pose, stamp)
 
     def _accept(
         self, cloud: Cloud, stamp: int, predicted: F64, found: Located, watch: Watch
@@ -193,6 +191,8 @@ class Tracker:
         keyframe = self._scene.add(cloud, stamp, found, dynamic, image)
         if keyframe is not None:
             self._adopt(keyframe)
+        if self._learned is not None:
+            self._learned.keep_only(self._scene.keyframes.recent)
         watch.lap('map')
         reason = Reason.RECOVERED if was_lost else found.reason
         claim = self._locator.claim_of(found)
@@ -211,8 +211,7 @@ class Tracker:
         self.source = Source.KISS_ICP if self._learned is None else Source.HYBRIDREG
         first = reason is Reason.FIRST_SCAN
         self.covariance = covariance.first() if first else covariance.lost()
-        self._adopt(self._scene.keyframes.add(pose, stamp, cloud.map_points))
-        self._scene.begin(cloud, pose, stamp)
+        self._adopt(self._scene.begin(cloud, pose, stamp))
         self._opening = None if cloud.times is None else (cloud, stamp)
         return self._estimate(pose, reason, float(first), nothing(cloud), is_keyframe=True)
 

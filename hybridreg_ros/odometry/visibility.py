@@ -71,9 +71,9 @@ class Sightings:
 
     def keep(self, image: RangeImage, is_keyframe: bool) -> None:
         """Compare later scans with this one."""
-        self._last = image
+        self._last = image.paged() if is_keyframe else image
         if is_keyframe:
-            self._keyframes.append(image)
+            self._keyframes.append(self._last)
 
     def clear(self) -> None:
         """Forget all images; the view stays."""

@@ -29,9 +29,8 @@ class Grid(NamedTuple):
         beam: (P, 3) float32 unit direction, map frame, in which each was first seen.
         born: (P,) float32 age of the map, seconds, when each was first seen.
         surface: (P, 5) float32 unit normal, offset of the surface along it, variance across it.
-        kind: (P,) int8, POINT or PLANE once fitted.
         fitted: (P,) int32, update after which the surface was fitted, 0 = not yet.
-        support: (P,) int16, points it was fitted to.
+        support: (P,) int16, points it was fitted to, 0 = it is no plane.
         by_mass: whether stored points count by their mass in the fit of a surface, or alike.
     """
 
@@ -46,7 +45,6 @@ class Grid(NamedTuple):
     beam: NDArray[np.float32]
     born: NDArray[np.float32]
     surface: NDArray[np.float32]
-    kind: NDArray[np.int8]
     fitted: NDArray[np.int32]
     support: NDArray[np.int16]
     by_mass: bool
@@ -165,7 +163,6 @@ def _copy(source, i, grid, k):  # type: ignore[no-untyped-def]
     if source.fitted[i] != 0:
         for axis in range(5):
             grid.surface[k, axis] = source.surface[i, axis]
-        grid.kind[k] = source.kind[i]
         grid.support[k] = source.support[i]
 
 

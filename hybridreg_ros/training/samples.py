@@ -23,6 +23,7 @@ import torch
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from hybridreg_ros.core.errors import RegistrationError
+from hybridreg_ros.core.nested import mapped
 from hybridreg_ros.data.pair import Label
 from hybridreg_ros.model.pyramid import Pyramid, build_pyramid, voxel_transform
 from hybridreg_ros.training.augment import augment
@@ -120,16 +121,11 @@ def to_device(value: Any, device: str) -> Any:
     """The same nested dataclasses and tuples with every tensor on a device."""
     if device == 'cpu':
         return value
-    if isinstance(value, torch.Tensor):
-        return value.to(device, non_blocking=True)
-    if isinstance(value, tuple):
-        return tuple(to_device(v, device) for v in value)
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        moved = {
-            f.name: to_device(getattr(value, f.name), device) for f in dataclasses.fields(value)
-        }
-        return dataclasses.replace(value, **moved)
-    return value
+
+    def moved(leaf: Any) -> Any:
+        return leaf.to(device, non_blocking=True) if isinstance(leaf, torch.Tensor) else leaf
+
+    return mapped(value, moved)
 
 
 class SampleStream(IterableDataset[Sample]):

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hybridreg_ros.core.pages import resident_mb, zeros
+from hybridreg_ros.core.pages import give_back, has_pages, paged, resident_mb, zeros
 
 
 @pytest.mark.parametrize('shape', [(), 0, 7, (5, 3), (0, 4)])
@@ -36,3 +36,32 @@ def test_sparse_values_take_little_memory() -> None:
     sparse[:, 0] = 1
     assert sparse.nbytes > 2e8
     assert resident_mb() - before < 10.0
+
+
+def test_a_copy_in_pages_of_its_own() -> None:
+    array = np.arange(12.0).reshape(3, 4)[:, ::2]
+    copy = paged(array)
+    np.testing.assert_array_equal(copy, array)
+    assert copy.dtype == array.dtype
+    assert not np.shares_memory(copy, array)
+    assert has_pages(copy)
+    assert has_pages(copy[1:].view(np.int64).reshape(-1))
+    assert not has_pages(array)
+    assert not has_pages(np.frombuffer(b'12345678'))
+
+
+def test_freed_values_between_kept_ones_go_back_to_the_system() -> None:
+    kept, gone = [], []
+    for _ in range(2_000):
+        gone.append(np.ones(15_000, np.uint8).repeat(2))
+        kept.append(np.ones(1_200, np.uint8).copy())
+    del gone
+    before = resident_mb()
+    give_back()
+    assert before - resident_mb() > 30.0
+    assert all(k.all() for k in kept)
+
+
+def test_nothing_is_given_back_where_the_c_library_cannot(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr('ctypes.CDLL', lambda name: object())
+    give_back()

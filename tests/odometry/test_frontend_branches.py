@@ -14,6 +14,7 @@ from tiny_world import lidar_rays, pose, scans, walk
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import ConfigError
 from hybridreg_ros.core.scan import Scan
+from hybridreg_ros.odometry import learned
 from hybridreg_ros.odometry.config import (
     FallbackConfig,
     GateConfig,
@@ -64,6 +65,52 @@ def test_only_encodings_that_were_asked_for_last_are_kept() -> None:
         assert branch.propose(frames[number]) is not None
         encodes.append(registrar.encodes - before)
     assert encodes == [2, 2, 1, 2, 1, 2]  # the scan itself, and the keyframe if it was not kept
+
+
+def test_encodings_of_keyframes_that_are_not_asked_for_go() -> None:
+    registrar = NeighbourhoodRegistrar()
+    branch = LearnedBranch(registrar, 8)
+    clouds = [scan.points for scan in scans(walk(4), RAYS)]
+    frames = [Keyframe(k, k, np.eye(4), points) for k, points in enumerate(clouds)]
+    branch.begin(clouds[3])
+    for frame in frames[:3]:
+        assert branch.propose(frame) is not None
+    assert registrar.encodes == 4
+    branch.keep_only(frames[1:])
+    for frame in frames[1:3]:
+        branch.propose(frame)
+    assert registrar.encodes == 4
+    branch.propose(frames[0])
+    assert registrar.encodes == 5
+
+
+def test_only_recent_keyframes_keep_their_encodings_while_the_pose_is_known() -> None:
+    config = replace(ASKING, keyframe=KeyframeConfig(max_age_s=0.15, window=2))
+    odometry = HybridOdometry(config, model=NeighbourhoodRegistrar())
+    for scan in scans(walk(10), RAYS):
+        odometry.step(scan)
+    tracker = odometry._tracker
+    assert tracker is not None
+    assert tracker._learned is not None
+    numbers = [f.number for f in tracker._scene.keyframes]
+    assert len(numbers) > 3
+    assert sorted(tracker._learned._keyframes) == numbers[-2:]
+
+
+def test_the_heap_is_given_back_after_a_scan_that_asked_the_network(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    given: list[int] = []
+    monkeypatch.setattr(learned, 'give_back', lambda: given.append(1))
+    clouds = [scan.points for scan in scans(walk(3), RAYS)]
+    branch = LearnedBranch(NeighbourhoodRegistrar(), 2)
+    branch.begin(clouds[0])
+    branch.begin(clouds[1])
+    assert not given
+    branch.propose(Keyframe(0, 0, np.eye(4), clouds[0]))
+    assert not given
+    branch.begin(clouds[2])
+    assert len(given) == 1
 
 
 def test_switch_has_hysteresis_and_no_jump() -> None:

@@ -9,6 +9,7 @@ import pytest
 from tiny_world import ROOM, Ball, Box, cast, depth_rays, lidar_rays, pose, walk
 
 from hybridreg_ros.core import se3
+from hybridreg_ros.core.pages import has_pages
 from hybridreg_ros.core.scan import NS_PER_S, Scan
 from hybridreg_ros.odometry import covariance
 from hybridreg_ros.odometry.confidence import Evidence, Gate, judge, of_evidence, weakness
@@ -263,6 +264,20 @@ def test_stand_uses_both_poses() -> None:
     assert np.mean(wrong == ON) < 0.6
 
 
+def test_an_image_in_pages_of_its_own_is_the_same() -> None:
+    image = RangeImage(CLOUD, view_of(CLOUD, 'lidar'), pose(-1.0, -0.5, 0.0))
+    kept, there = image.paged(), pose(-0.6, -0.3, 30.0)
+    for strict in (False, True):
+        stand = image.stand(CLOUD, there, 0.05, 0.01, strict)
+        assert len(np.unique(stand)) == 4
+        np.testing.assert_array_equal(kept.stand(CLOUD, there, 0.05, 0.01, strict), stand)
+    arrays = {name: v for name, v in vars(image).items() if getattr(v, 'ndim', 0) == 2}
+    assert len(arrays) == 4
+    for name in arrays.keys() - {'T_odom_sensor'}:
+        assert has_pages(vars(kept)[name])
+        assert not has_pages(arrays[name])
+
+
 def test_thing_that_came_stands_in_front() -> None:
     image = RangeImage(CLOUD, view_of(CLOUD, 'lidar'), np.eye(4))
     world = (*ROOM, Ball((1.0, -0.5, 1.2), 0.3, (1.0, 0.0, 0.0)))
@@ -321,6 +336,8 @@ def test_keyframe_rule_and_choice() -> None:
     assert keyframes.wanted(here, 8 * NS_PER_S, overlap=0.9)
     assert keyframes.wanted(pose(6.5, 0.0, 0.0), 5 * NS_PER_S, overlap=0.9)
     assert keyframes.wanted(pose(5.5, 0.0, 40.0), 5 * NS_PER_S, overlap=0.9)
+    assert [f.number for f in keyframes.recent] == [3, 4, 5]
+    assert all(has_pages(f.points) for f in keyframes)
     nearest = keyframes.to_match(pose(3.2, 0.0, 0.0))
     assert nearest is not None
     assert nearest.number == 3

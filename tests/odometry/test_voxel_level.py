@@ -131,7 +131,7 @@ def test_points_are_packed_before_more_rows_are_taken(monkeypatch: pytest.Monkey
                 for row in range(start, start + count):
                     marks[tuple(level.grid.store[row].tolist())] = row + 1
                     level.grid.fitted[row] = level.grid.surface[row, 4] = row + 1
-                    level.grid.kind[row], level.grid.support[row] = 2, row
+                    level.grid.support[row] = row
     assert packs == [len(corners)]
     assert len(level.grid.store) == rows
     assert len(level) == len(places) * len(corners) == len(np.unique(level.points(), axis=0))
@@ -139,4 +139,4 @@ def test_points_are_packed_before_more_rows_are_taken(monkeypatch: pytest.Monkey
         row, off = nearest(*place, level.grid)
         assert off == 0.0
         assert level.grid.fitted[row] == level.grid.surface[row, 4] == mark
-        assert (level.grid.kind[row], level.grid.support[row]) == (2, mark - 1)
+        assert level.grid.support[row] == mark - 1

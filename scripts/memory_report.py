@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -72,7 +73,7 @@ def measure(clouds: Sequence[Scan], period_s: float, steps: int) -> dict[str, An
     Returns:
         Resident memory in MB by step, and how many poses were the network's.
     """
-    marks = {SETTLED, 5 * SETTLED, steps // 2, steps - 1}
+    marks = {SETTLED, 5 * SETTLED, *range(10 * SETTLED, steps, 10 * SETTLED), steps - 1}
     odometry, found, by_network = HybridOdometry(), {}, 0
     for k in range(steps):
         points = clouds[looped(len(clouds), k)].points
@@ -81,6 +82,7 @@ def measure(clouds: Sequence[Scan], period_s: float, steps: int) -> dict[str, An
         by_network += result.source is Source.HYBRIDREG
         if k in marks:
             found[str(k)] = resident_mb()
+            print(f'{k} of {steps} steps: {found[str(k)]:.1f} MB', file=sys.stderr)
     return {'resident_mb': found, 'by_network': by_network}
 
 

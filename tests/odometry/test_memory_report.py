@@ -52,7 +52,7 @@ def test_growth_is_counted_from_where_the_loop_has_settled(
     told = iter([700.0, 703.0, 703.5, 704.0])
     monkeypatch.setattr(report, 'SETTLED', 1)
     monkeypatch.setattr(report, 'resident_mb', lambda: next(told))
-    row = report.measure(scans(walk(3), depth_rays()), 0.1, 8)
-    assert row['resident_mb'] == {'1': 700.0, '4': 703.0, '5': 703.5, '7': 704.0}
-    row |= {'points': 10_800, 'steps': 8}
-    assert report.table({'loop': row}).endswith('| 700.0 | 703.5 | 704.0 | 4.0 |')
+    row = report.measure(scans(walk(3), depth_rays()), 0.1, 12)
+    assert row['resident_mb'] == {'1': 700.0, '5': 703.0, '10': 703.5, '11': 704.0}
+    row |= {'points': 10_800, 'steps': 12}
+    assert report.table({'loop': row}).endswith('| 700.0 | 703.0 | 704.0 | 4.0 |')

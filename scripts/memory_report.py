@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 from docs_tables import put
 
 from hybridreg_ros.core import provenance
-from hybridreg_ros.core.pages import resident_mb
+from hybridreg_ros.core.pages import one_heap, resident_mb
 from hybridreg_ros.core.scan import NS_PER_S, Scan
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.result import Source
@@ -115,6 +115,7 @@ def main() -> None:
         parser.error(f'sequence: {args.sequence!r} is none of {", ".join(SEQUENCES)}')
     if args.steps <= 5 * SETTLED:
         parser.error(f'--steps: expected more than {5 * SETTLED}, found {args.steps}')
+    one_heap()
     sequence = SEQUENCES[args.sequence]
     clouds = loop_of(sequence, args.data, args.cache)
     row = measure(clouds, sequence.period_s, args.steps)

@@ -44,7 +44,7 @@ class KeyframeConfig(Section):
         10.0, 'a scan so much later becomes the next keyframe, seconds', low=0.1, high=3600.0
     )
     window: int = option(3, 'recent keyframes a scan may be matched against', low=1, high=20)
-    memory: int = option(50, 'keyframes kept for relocalisation', low=1, high=1000)
+    memory: int = option(30, 'keyframes kept for relocalisation', low=1, high=1000)
 
 
 @dataclass(frozen=True)

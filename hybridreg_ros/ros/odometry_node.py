@@ -15,6 +15,7 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from hybridreg_ros.core.errors import HybridRegError
+from hybridreg_ros.core.pages import one_heap
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.ros import fastdds
 from hybridreg_ros.ros.diagnostics import Setting, to_array
@@ -192,6 +193,7 @@ def main(args: list[str] | None = None) -> int:
     Returns:
         0 after Ctrl-C or shutdown, 2 when the node cannot start (one line on stderr).
     """
+    one_heap()
     with ros_session(args) as session:
         node: OdometryNode | None = None
         try:

@@ -4,10 +4,14 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
-from hybridreg_ros.core.pages import give_back, has_pages, paged, resident_mb, zeros
+from hybridreg_ros.core.pages import give_back, has_pages, one_heap, paged, resident_mb, zeros
 
 
 @pytest.mark.parametrize('shape', [(), 0, 7, (5, 3), (0, 4)])
@@ -62,6 +66,32 @@ def test_freed_values_between_kept_ones_go_back_to_the_system() -> None:
     assert all(k.all() for k in kept)
 
 
+@pytest.mark.parametrize(('given', 'heaps'), [(None, 1), ('2', 2), ('unset', 4)])
+def test_threads_share_one_heap_unless_told(given: str | None, heaps: int) -> None:
+    """Heaps of threads start at multiples of 64 MiB; four threads hold memory at a time."""
+    env = {k: v for k, v in os.environ.items() if k != 'MALLOC_ARENA_MAX'}
+    env |= {'MALLOC_ARENA_MAX': given} if given not in {None, 'unset'} else {}
+    code = (
+        'import ctypes, threading\n'
+        'from hybridreg_ros.core.pages import one_heap\n'
+        f'{"" if given == "unset" else "one_heap()"}\n'
+        'c = ctypes.CDLL(None)\n'
+        'c.malloc.restype, c.malloc.argtypes = ctypes.c_size_t, [ctypes.c_size_t]\n'
+        'together, found = threading.Barrier(4), []\n'
+        'def take():\n'
+        '    found.append(c.malloc(4000) >> 26)\n'
+        '    together.wait()\n'
+        'threads = [threading.Thread(target=take) for _ in range(4)]\n'
+        '[t.start() for t in threads]; [t.join() for t in threads]\n'
+        'print(len(set(found)))'
+    )
+    done = subprocess.run(
+        [sys.executable, '-c', code], env=env, capture_output=True, text=True, check=True
+    )
+    assert int(done.stdout) == heaps
+
+
 def test_nothing_is_given_back_where_the_c_library_cannot(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr('ctypes.CDLL', lambda name: object())
     give_back()
+    one_heap()

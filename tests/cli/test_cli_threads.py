@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""numpy works with one thread in our processes, unless somebody asked for more."""
+"""numpy works with one thread in our processes, unless asked for more; all share one heap."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ import subprocess
 import sys
 
 import pytest
+
+from hybridreg_ros.cli import cmd_replay
+from hybridreg_ros.cli.main import main
 
 COMMAND = "from hybridreg_ros.cli.main import main; main(['score', 'none.tum', 'none.tum'])"
 
@@ -23,3 +26,10 @@ def test_one_thread_unless_told(start: str, given: str | None, kept: str) -> Non
         [sys.executable, '-c', code], env=env, capture_output=True, text=True, check=True
     )
     assert done.stdout.split()[-1] == kept
+
+
+def test_threads_of_a_replay_share_one_heap(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    monkeypatch.setattr(cmd_replay, 'one_heap', lambda: asked.append(1))
+    assert main(['replay']) == 2
+    assert asked == [1]

@@ -19,6 +19,7 @@ from rcl_interfaces.srv import DescribeParameters, ListParameters
 from ros_harness import KISS, QUICK, STEP_NS, cloud, domain, room, running
 
 from hybridreg_ros.odometry.config import OdometryConfig
+from hybridreg_ros.ros import odometry_node
 from hybridreg_ros.ros.node_process import LOCALHOST
 from hybridreg_ros.ros.odometry_node import main
 from hybridreg_ros.ros.parameters import leaves
@@ -54,6 +55,14 @@ def test_bad_parameters_are_one_line_and_code_2(arguments, text, capfd, monkeypa
     lines = [n for n in capfd.readouterr().err.splitlines() if n.startswith('odometry_node: ')]
     assert len(lines) == 1
     assert text in lines[0]
+
+
+def test_threads_of_the_node_share_one_heap(monkeypatch):
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain()))
+    asked = []
+    monkeypatch.setattr(odometry_node, 'one_heap', lambda: asked.append(1))
+    assert main(['--ros-args', '-p', 'voxel_size_m:=-1']) == 2
+    assert asked == [1]
 
 
 def test_unknown_parameter_in_a_process_of_its_own():

@@ -4,7 +4,8 @@
 
 The scans of a sequence are played forth and back, network and all. The times of their points do
 not hold on the way back: the motion during each scan is undone by the true poses beforehand. One
-process measures one sequence; the table holds all measured so far.
+process measures one sequence; the table holds all measured so far. In the folder of the suite they
+become a row of the table of goals (`hybridreg replay --suite all --table-only`).
 
     python scripts/memory_report.py dev-room-933 --steps 10000
     python scripts/memory_report.py dev-street-6205 --steps 10000
@@ -28,6 +29,7 @@ from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.result import Source
 from hybridreg_ros.replay import suite_data
 from hybridreg_ros.replay.suite_list import SEQUENCES
+from hybridreg_ros.replay.suite_memory import NAME, SETTLED, growth_mb, read
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,11 +37,9 @@ if TYPE_CHECKING:
     from hybridreg_ros.replay.suite_list import Sequence as SuiteSequence
 
 ROOT = Path(__file__).resolve().parents[1]
-RESULTS = ROOT / 'docs' / 'results' / 'memory.json'
+RESULTS = ROOT / 'docs' / 'results' / NAME
 FRAMES = 100
 """Of a sequence; more are not looped over."""
-SETTLED = 100
-"""Steps after which growth counts: by then libraries are loaded and kernels compiled."""
 
 
 def looped(count: int, step: int) -> int:
@@ -98,7 +98,7 @@ def table(rows: dict[str, dict[str, Any]]) -> str:
         first, middle, last = at[str(SETTLED)], at[str(5 * SETTLED)], at[str(row['steps'] - 1)]
         lines.append(
             f'| {name} | {row["points"]:,} | {row["steps"]:,} | {row["by_network"]:,} '
-            f'| {first:.1f} | {middle:.1f} | {last:.1f} | {last - first:.1f} |'
+            f'| {first:.1f} | {middle:.1f} | {last:.1f} | {growth_mb(row):.1f} |'
         )
     return '\n'.join(lines)
 
@@ -109,6 +109,7 @@ def main() -> None:
     parser.add_argument('sequence', help='of the benchmark or the development suite')
     parser.add_argument('--steps', type=int, default=10_000, help='above 500 (default 10,000)')
     parser.add_argument('--data', type=Path, default=Path('../shared/data'), help='recordings')
+    parser.add_argument('--out', type=Path, default=Path('out/suite'), help='of the suite')
     parser.add_argument('--cache', type=Path, default=Path('out/suite/cache'), help='simulated')
     args = parser.parse_args()
     if args.sequence not in SEQUENCES:
@@ -121,9 +122,10 @@ def main() -> None:
     row = measure(clouds, sequence.period_s, args.steps)
     row |= {'points': max(len(c.points) for c in clouds), 'steps': args.steps}
     row['provenance'] = provenance.collect().to_dict()
-    rows = json.loads(RESULTS.read_text('utf-8')) if RESULTS.exists() else {}
-    rows[args.sequence] = row
-    RESULTS.write_text(json.dumps(rows, indent=1) + '\n', encoding='utf-8')
+    rows = {**read(RESULTS.parent), args.sequence: row}
+    args.out.mkdir(parents=True, exist_ok=True)
+    for path in (RESULTS, args.out / NAME):
+        path.write_text(json.dumps(rows, indent=1) + '\n', encoding='utf-8')
     put(ROOT / 'docs' / 'results.md', 'memory', table(rows))
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from hybridreg_ros.cli import fits
 from hybridreg_ros.cli.common import bar, odometry_config, write_result
 from hybridreg_ros.core.errors import ConfigError, DependencyError, FileFormatError
-from hybridreg_ros.replay import suite_data, suite_plots, suite_run, suite_table
+from hybridreg_ros.replay import suite_data, suite_memory, suite_plots, suite_run, suite_table
 from hybridreg_ros.replay.interrupt import StopRequest
 from hybridreg_ros.replay.outputs import write_json
 from hybridreg_ros.replay.suite_list import METHODS, STRIDES, chosen
@@ -33,6 +33,7 @@ def run(args: argparse.Namespace) -> int:
 
     Raises:
         ConfigError: no output folder, bags beside --suite, or an unknown name.
+        FileFormatError: the figures of memory in the output folder are something else.
     """
     if args.bags:
         raise ConfigError('--suite takes no bags: leave one of them out')
@@ -53,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     if not args.table_only:
         code = _run_all(args, sequences, methods, tuple(args.strides or STRIDES))
     cells = suite_table.read_cells(args.out / 'cells')
-    table = suite_table.build(cells)
+    table = suite_table.build(cells, memory=suite_memory.read(args.out))
     write_json(args.out / 'suite.json', table)
     text = suite_table.markdown(table)
     (args.out / 'suite.md').write_text(text, 'utf-8')

@@ -13,10 +13,11 @@ import numpy as np
 from hybridreg_ros.metrics.calibration import expected_calibration_error
 from hybridreg_ros.metrics.mask import MaskCounts, score
 from hybridreg_ros.odometry.config import GateConfig
+from hybridreg_ros.replay import suite_memory
 from hybridreg_ros.replay.suite_list import METHODS, RIVALS, SEQUENCES, STRIDES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
 
 Cell = dict[str, Any]
@@ -37,20 +38,24 @@ def read_cells(folder: Path) -> list[Cell]:
     return cells
 
 
-def build(cells: list[Cell], method: str = OURS) -> dict[str, Any]:
+def build(
+    cells: list[Cell], method: str = OURS, memory: Mapping[str, dict[str, Any]] | None = None
+) -> dict[str, Any]:
     """The table of one of our methods as plain values.
 
     Args:
         cells: what `suite_run.run_cell` made.
         method: ours, ours-no-mask or ours-no-network.
+        memory: what `suite_memory.read` gives; measured of ours alone.
     """
+    loops = [r for r in (memory or {}).values() if r['steps'] >= suite_memory.STEPS]
     scored = [c for c in cells if c['sequence']['suite'] != 'dev']
     mine = [c for c in scored if c['method'] == method]
     return {
         'method': method,
-        'rows': _rows(mine, scored),
+        'rows': [*_rows(mine, scored), _memory(loops if method == OURS else [])],
         'cells': [_brief(c) for c in sorted(scored, key=_order)],
-        'missing': _missing(scored),
+        'missing': [*_missing(scored), *([] if loops else ['memory: no loop of 10,000 scans'])],
         'provenance': scored[-1]['provenance'] if scored else {},
     }
 
@@ -132,6 +137,14 @@ def _rows(mine: list[Cell], cells: list[Cell]) -> list[dict[str, Any]]:
         row('ECE of the confidence (no floor set)', float('nan'), float('nan'), _ece(frames),
             '10 bins'),
     ]  # fmt: skip
+
+
+def _memory(loops: list[dict[str, Any]]) -> dict[str, Any]:
+    """The row of loops that are long enough."""
+    return _row(
+        'growth of resident memory over 10,000 frames of a looped sequence, MB', 50.0, 5.0,
+        [suite_memory.growth_mb(r) for r in loops], 'largest', max,
+    )  # fmt: skip
 
 
 def _row(

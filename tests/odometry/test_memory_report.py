@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tiny_world import depth_rays, scans, walk
 
-from hybridreg_ros.replay import suite_data
+from hybridreg_ros.replay import suite_data, suite_memory
 from hybridreg_ros.replay.suite_list import SEQUENCES
 
 if TYPE_CHECKING:
@@ -50,7 +50,8 @@ def test_growth_is_counted_from_where_the_loop_has_settled(
     report: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told = iter([700.0, 703.0, 703.5, 704.0])
-    monkeypatch.setattr(report, 'SETTLED', 1)
+    for module in (report, suite_memory):
+        monkeypatch.setattr(module, 'SETTLED', 1)
     monkeypatch.setattr(report, 'resident_mb', lambda: next(told))
     row = report.measure(scans(walk(3), depth_rays()), 0.1, 12)
     assert row['resident_mb'] == {'1': 700.0, '5': 703.0, '10': 703.5, '11': 704.0}

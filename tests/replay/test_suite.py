@@ -28,6 +28,7 @@ from hybridreg_ros.replay import (
     suite_claims,
     suite_data,
     suite_fit,
+    suite_memory,
     suite_plots,
     suite_run,
     suite_table,
@@ -164,6 +165,36 @@ def test_table_has_every_row_with_figure_number_and_verdict() -> None:
     assert text.count('\n| room-0') == 5
     assert 'dev-room' not in text
     assert 'Not run: room-00: ' in text
+
+
+def loop(steps: int, first: float, last: float) -> dict[str, Any]:
+    return {'steps': steps, 'resident_mb': {'100': first, str(steps - 1): last}}
+
+
+def test_the_table_has_the_memory_of_long_loops(tmp_path: Path) -> None:
+    def row(memory: dict[str, Any], method: str = 'ours') -> tuple[Any, ...]:
+        table = suite_table.build([cell('room-02', method, 0.02)], method, memory)
+        found = next(r for r in table['rows'] if r['name'].startswith('growth of resident memory'))
+        missing = any(m.startswith('memory: ') for m in table['missing'])
+        return found['figure'], found['n'], found['verdict'], missing
+
+    short, long = loop(2_000, 600.0, 700.0), loop(10_000, 700.0, 740.5)
+    assert suite_memory.read(tmp_path) == {}
+    assert row({}) == row({'a': short}) == (None, 0, 'not run', True)
+    (tmp_path / 'memory.json').write_text(json.dumps({'a': short, 'b': long}), 'utf-8')
+    assert row(suite_memory.read(tmp_path)) == (40.5, 1, 'pass', False)
+    assert row({'b': long, 'c': loop(20_000, 700.0, 751.0)}) == (51.0, 2, 'below floor', False)
+    assert row({'b': long}, 'ours-no-mask')[2] == 'not run'
+
+
+@pytest.mark.parametrize(
+    'text',
+    ['{', '[1]', '{"a": {"steps": 7}}', '{"a": 3}', '{"a": {"steps": 7, "resident_mb": 1}}'],
+)
+def test_figures_of_memory_that_are_something_else_are_an_error(tmp_path: Path, text: str) -> None:
+    (tmp_path / 'memory.json').write_text(text, 'utf-8')
+    with pytest.raises(FileFormatError, match=r'memory\.json: expected the figures'):
+        suite_memory.read(tmp_path)
 
 
 def test_plots_show_each_suite_that_was_run(tmp_path: Path) -> None:

@@ -7,8 +7,8 @@ not hold on the way back: the motion during each scan is undone by the true pose
 process measures one sequence; the table holds all measured so far. In the folder of the suite they
 become a row of the table of goals (`hybridreg replay --suite all --table-only`).
 
-    python scripts/memory_report.py dev-room-933 --steps 10000
-    python scripts/memory_report.py dev-street-6205 --steps 10000
+    python scripts/memory_report.py dev-room-933 --steps 10000    # half an hour
+    python scripts/memory_report.py dev-street-6205 --steps 2000  # half an hour
 """
 
 from __future__ import annotations
@@ -23,11 +23,12 @@ from typing import TYPE_CHECKING, Any
 from docs_tables import put
 
 from hybridreg_ros.core import provenance
-from hybridreg_ros.core.pages import one_heap, resident_mb
+from hybridreg_ros.core.pages import resident_mb
 from hybridreg_ros.core.scan import NS_PER_S, Scan
-from hybridreg_ros.odometry.frontend import HybridOdometry
+from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.result import Source
 from hybridreg_ros.replay import suite_data
+from hybridreg_ros.replay.session import build_front_end
 from hybridreg_ros.replay.suite_list import SEQUENCES
 from hybridreg_ros.replay.suite_memory import NAME, SETTLED, growth_mb, read
 
@@ -74,7 +75,7 @@ def measure(clouds: Sequence[Scan], period_s: float, steps: int) -> dict[str, An
         Resident memory in MB by step, and how many poses were the network's.
     """
     marks = {SETTLED, 5 * SETTLED, *range(10 * SETTLED, steps, 10 * SETTLED), steps - 1}
-    odometry, found, by_network = HybridOdometry(), {}, 0
+    odometry, found, by_network = build_front_end(OdometryConfig(), None), {}, 0
     for k in range(steps):
         points = clouds[looped(len(clouds), k)].points
         stamp = (1 + round(k * period_s * 1e3)) * (NS_PER_S // 1000)
@@ -116,7 +117,6 @@ def main() -> None:
         parser.error(f'sequence: {args.sequence!r} is none of {", ".join(SEQUENCES)}')
     if args.steps <= 5 * SETTLED:
         parser.error(f'--steps: expected more than {5 * SETTLED}, found {args.steps}')
-    one_heap()
     sequence = SEQUENCES[args.sequence]
     clouds = loop_of(sequence, args.data, args.cache)
     row = measure(clouds, sequence.period_s, args.steps)

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from hybridreg_ros.cli.common import bar, odometry_config, progress, write_result
 from hybridreg_ros.core.errors import BagError, ConfigError
-from hybridreg_ros.core.pages import one_heap
 from hybridreg_ros.replay import report_tables, session
 
 if TYPE_CHECKING:
@@ -25,7 +24,6 @@ INTERRUPTED = 'interrupted (Ctrl-C)'
 
 def run(args: argparse.Namespace) -> int:
     """Replay every bag, print one table, say where the results are."""
-    one_heap()
     if args.suite is not None:
         from hybridreg_ros.cli import cmd_suite
 

@@ -50,11 +50,12 @@ def run(args: argparse.Namespace) -> int:
         return fits.evidence(args, sequences)
     if args.fit_confidence is not None:
         return fits.confidence(args, sequences)
+    memory = suite_memory.read(args.out)
     code = 0
     if not args.table_only:
         code = _run_all(args, sequences, methods, tuple(args.strides or STRIDES))
     cells = suite_table.read_cells(args.out / 'cells')
-    table = suite_table.build(cells, memory=suite_memory.read(args.out))
+    table = suite_table.build(cells, memory=memory)
     write_json(args.out / 'suite.json', table)
     text = suite_table.markdown(table)
     (args.out / 'suite.md').write_text(text, 'utf-8')

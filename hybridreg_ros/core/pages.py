@@ -37,7 +37,7 @@ def zeros(shape: int | tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
 
 
 def paged(array: NDArray[Any]) -> NDArray[Any]:
-    """A copy of an array in pages of its own, for what is kept for long."""
+    """A copy of an array of any shape in pages of its own, for what is kept for long."""
     copy = zeros(array.shape, array.dtype)
     copy[...] = array
     return copy

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from hybridreg_ros.core.config import to_dict
+from hybridreg_ros.core.pages import one_heap
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.replay import outputs, runner
 from hybridreg_ros.replay.bag_reader import open_bag
@@ -56,13 +57,14 @@ class Job:
 
 
 def build_front_end(config: OdometryConfig, weights: Path | None) -> HybridOdometry:
-    """Front end of the settings; the network is loaded only when it leads.
+    """Front end of the settings, threads on one heap; the network is loaded only when it leads.
 
     Raises:
         WeightsError: the checkpoint is missing, damaged or foreign.
     """
     from hybridreg_ros.odometry.frontend import HybridOdometry
 
+    one_heap()
     if config.registrar == 'kiss-icp' or weights is None:
         return HybridOdometry(config)
     from hybridreg_ros.model.register import HybridReg

@@ -35,13 +35,13 @@ def read(folder: Path) -> dict[str, dict[str, Any]]:
             growth_mb(row)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise FileFormatError(
-            f'{path}: expected the figures of scripts/memory_report.py by sequence '
-            f'({type(error).__name__}: {error})'
+            f'{path}: expected the figures of scripts/memory_report.py by sequence, found '
+            f'something else ({type(error).__name__}: {error}): remove it and measure again'
         ) from error
     return rows
 
 
 def growth_mb(row: dict[str, Any]) -> float:
-    """By how many MB one loop grew from step `SETTLED` to its last."""
+    """By how many MB a loop grew from step `SETTLED` to its last, one value of `read`."""
     at = row['resident_mb']
     return float(at[str(row['steps'] - 1)]) - float(at[str(SETTLED)])

@@ -24,6 +24,7 @@ Cell = dict[str, Any]
 OURS = 'ours'
 _STATIC_REAL = ('lidar_balm_walk_a', 'lidar_kitti_raw_22scans', 'depth_7scenes')
 _QUIET_REAL = ('lidar_balm_walk_a', 'depth_7scenes')
+_NO_LOOP = f'memory: no loop of {suite_memory.STEPS:,} frames (scripts/memory_report.py)'
 _DENSE = {'depth': ('depth_7scenes',), 'lidar': ('lidar_kitti_raw_22scans',)}
 
 
@@ -55,7 +56,7 @@ def build(
         'method': method,
         'rows': [*_rows(mine, scored), _memory(loops if method == OURS else [])],
         'cells': [_brief(c) for c in sorted(scored, key=_order)],
-        'missing': [*_missing(scored), *([] if loops else ['memory: no loop of 10,000 scans'])],
+        'missing': [*_missing(scored), *([] if loops else [_NO_LOOP])],
         'provenance': scored[-1]['provenance'] if scored else {},
     }
 
@@ -142,7 +143,8 @@ def _rows(mine: list[Cell], cells: list[Cell]) -> list[dict[str, Any]]:
 def _memory(loops: list[dict[str, Any]]) -> dict[str, Any]:
     """The row of loops that are long enough."""
     return _row(
-        'growth of resident memory over 10,000 frames of a looped sequence, MB', 50.0, 5.0,
+        f'growth of resident memory over {suite_memory.STEPS:,} frames of a looped sequence, MB',
+        50.0, 5.0,
         [suite_memory.growth_mb(r) for r in loops], 'largest', max,
     )  # fmt: skip
 

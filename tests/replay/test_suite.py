@@ -193,8 +193,17 @@ def test_the_table_has_the_memory_of_long_loops(tmp_path: Path) -> None:
 )
 def test_figures_of_memory_that_are_something_else_are_an_error(tmp_path: Path, text: str) -> None:
     (tmp_path / 'memory.json').write_text(text, 'utf-8')
-    with pytest.raises(FileFormatError, match=r'memory\.json: expected the figures'):
+    with pytest.raises(FileFormatError, match=r'memory\.json: expected .* remove it and measure'):
         suite_memory.read(tmp_path)
+
+
+def test_figures_of_memory_are_looked_at_before_cells_are_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(suite_run, 'run_cell', lambda *_: pytest.fail('a cell was run'))
+    (tmp_path / 'memory.json').write_text('{', 'utf-8')
+    assert main(['replay', '--suite', 'rooms', '--frames', '2', '--out', str(tmp_path)]) == 2
+    assert 'memory.json: expected' in capsys.readouterr().err
 
 
 def test_plots_show_each_suite_that_was_run(tmp_path: Path) -> None:

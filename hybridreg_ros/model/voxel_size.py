@@ -69,3 +69,49 @@ def choose_voxel_size_m(*clouds: NDArray[np.float32]) -> float:
     share = np.log(reach / _ROOM_REACH_M) / np.log(_STREET_REACH_M / _ROOM_REACH_M)
     grown = _ROOM_VOXEL_M * (_STREET_VOXEL_M / _ROOM_VOXEL_M) ** float(np.clip(share, 0.0, 1.0))
     return float(grown)
+
+
+def budget_voxel_size_m(
+    *clouds: NDArray[np.float32], smallest_m: float, max_points: int, max_superpoints: int
+) -> float:
+    """The voxel at which no cloud holds more occupied voxels than the budget, at all levels.
+
+    Occupied voxels of surfaces fall with the square of the voxel, so a few steps suffice. The
+    result is within 3 % of the smallest voxel that keeps the budget.
+
+    Args:
+        clouds: (N, 3) float32 each, metres; rows with NaN or inf are ignored.
+        smallest_m: lower bound, metres; returned when the clouds keep the budget there.
+        max_points: maximum occupied voxels of the finest level.
+        max_superpoints: maximum occupied voxels of the coarsest level, eight voxels wide.
+    """
+    voxel_m = smallest_m
+    for cloud in clouds:
+        points = cloud[np.isfinite(cloud).all(axis=1)]
+        for size, limit in ((1.0, max_points), (8.0, max_superpoints)):
+            voxel_m = _smallest_within(points, voxel_m, size, limit)
+    return voxel_m
+
+
+def _smallest_within(
+    points: NDArray[np.float32], voxel_m: float, size: float, limit: int
+) -> float:
+    """`voxel_m`, or the smallest larger one at which cells of `size` voxels are at most `limit`."""
+    low = high = voxel_m
+    while (count := _occupied(points, high * size)) > limit:
+        low, high = high, high * max(np.sqrt(count / limit), 1.01)
+    while high > 1.03 * low:
+        middle = float(np.sqrt(low * high))
+        if _occupied(points, middle * size) > limit:
+            low = middle
+        else:
+            high = middle
+    return float(high)
+
+
+def _occupied(points: NDArray[np.float32], cell_m: float) -> int:
+    """Number of cubic cells that hold a point."""
+    cells = np.floor(points / cell_m).astype(np.int64)
+    cells -= cells.min(axis=0, initial=0)
+    span = cells.max(axis=0, initial=0) + 1
+    return len(np.unique((cells[:, 0] * span[1] + cells[:, 1]) * span[2] + cells[:, 2]))

@@ -96,7 +96,7 @@ def budget_voxel_size_m(
 def _smallest_within(
     points: NDArray[np.float32], voxel_m: float, size: float, limit: int
 ) -> float:
-    """`voxel_m`, or the smallest larger one at which cells of `size` voxels are at most `limit`."""
+    """`voxel_m`, or the smallest larger one with at most `limit` cells of `size` voxels."""
     low = high = voxel_m
     while (count := _occupied(points, high * size)) > limit:
         low, high = high, high * max(np.sqrt(count / limit), 1.01)

@@ -31,7 +31,7 @@ setup(
         PACKAGE: [
             'py.typed',
             'model/weights/*.safetensors',
-            'odometry/*.json',
+            'odometry/selection/*.json',
             'ros/*.xml',
             'replay/*.html',
         ],

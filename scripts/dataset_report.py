@@ -15,10 +15,10 @@ from typing import Any
 
 from docs_tables import put
 
-from hybridreg_ros.data.hybridmatch import SCENES
-from hybridreg_ros.data.overview import draw_overview, overview_table, read_overview
-from hybridreg_ros.data.preview import draw_sheet
-from hybridreg_ros.data.shards import open_split
+from hybridreg_ros.data.hybridmatch.overview import draw_overview, overview_table, read_overview
+from hybridreg_ros.data.hybridmatch.preview import draw_sheet
+from hybridreg_ros.data.hybridmatch.room_pairs import SCENES
+from hybridreg_ros.data.hybridmatch.shards import open_split
 
 DOCS = Path(__file__).resolve().parents[1] / 'docs'
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from docs_tables import put
 
-from hybridreg_ros.data.hybridmatch import SPLITS
+from hybridreg_ros.data.hybridmatch.room_pairs import SPLITS
 from hybridreg_ros.metrics.registration import wilson_interval
 
 DOCS = Path(__file__).resolve().parents[1] / 'docs'

@@ -5,7 +5,7 @@
     python scripts/fit_score.py data/street-train data/room-train --pairs 300 --keep out/score
 
 Prints how many pairs are won by the weights in use, by fitted ones on scenes they were not fitted
-to, and by a perfect choice, then the fitted weights (`WEIGHTS` in model/score.py).
+to, and by a perfect choice, then the fitted weights (`WEIGHTS` in model/pose/score.py).
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ import numpy as np
 import torch
 
 from hybridreg_ros.core.errors import RegistrationError
-from hybridreg_ros.data.openers import open_pairs
-from hybridreg_ros.model.score import TRACES, UNMASKED_WEIGHTS, WEIGHTS
+from hybridreg_ros.data.loaders.openers import open_pairs
+from hybridreg_ros.model.pose.score import TRACES, UNMASKED_WEIGHTS, WEIGHTS
 from hybridreg_ros.training.choice import Contest, contest, fit_weights, held_out_wins, won
 from hybridreg_ros.training.variants import load_variant
 

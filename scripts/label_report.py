@@ -16,8 +16,8 @@ import numpy as np
 from docs_tables import put
 
 from hybridreg_ros.core import provenance
-from hybridreg_ros.data.hybridmatch import GENERATOR_VERSION, SPLITS, make_samples
-from hybridreg_ros.data.splits import first_seed
+from hybridreg_ros.data.hybridmatch.room_pairs import GENERATOR_VERSION, SPLITS, make_samples
+from hybridreg_ros.data.hybridmatch.splits import first_seed
 
 ROOT = Path(__file__).resolve().parents[1]
 HEADS = ('split', 'pairs that can tell', 'static: median, worst', 'above 3', 'beyond 10 sigma %',

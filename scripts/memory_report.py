@@ -22,20 +22,20 @@ from typing import TYPE_CHECKING, Any
 
 from docs_tables import put
 
+from hybridreg_ros.benchmark import suite_data
+from hybridreg_ros.benchmark.suite_list import SEQUENCES
+from hybridreg_ros.benchmark.suite_memory import NAME, SETTLED, growth_mb, read
 from hybridreg_ros.core import provenance
 from hybridreg_ros.core.pages import resident_mb
 from hybridreg_ros.core.scan import NS_PER_S, Scan
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.result import Source
-from hybridreg_ros.replay import suite_data
 from hybridreg_ros.replay.session import build_front_end
-from hybridreg_ros.replay.suite_list import SEQUENCES
-from hybridreg_ros.replay.suite_memory import NAME, SETTLED, growth_mb, read
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from hybridreg_ros.replay.suite_list import Sequence as SuiteSequence
+    from hybridreg_ros.benchmark.suite_list import Sequence as SuiteSequence
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / 'docs' / 'results' / NAME

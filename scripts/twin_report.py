@@ -21,14 +21,14 @@ import numpy as np
 from docs_tables import put
 
 from hybridreg_ros.core import provenance
-from hybridreg_ros.data.hybridmatch import GENERATOR_VERSION, make_samples
-from hybridreg_ros.data.splits import first_seed
+from hybridreg_ros.data.hybridmatch.room_pairs import GENERATOR_VERSION, make_samples
+from hybridreg_ros.data.hybridmatch.splits import first_seed
 from hybridreg_ros.metrics import registration
 from hybridreg_ros.training.baselines import METHODS
 from hybridreg_ros.training.validation import overlap_points, threshold_m
 
 if TYPE_CHECKING:
-    from hybridreg_ros.data.hybridmatch_take import Sample
+    from hybridreg_ros.data.hybridmatch.take import Sample
     from hybridreg_ros.data.pair import PointPair
 
 ROOT = Path(__file__).resolve().parents[1]

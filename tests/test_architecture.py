@@ -25,8 +25,19 @@ ALLOWED = {
     'odometry': {'core', 'model'},
     'training': {'core', 'data', 'metrics', 'model', 'odometry'},
     'replay': {'core', 'data', 'metrics', 'model', 'odometry'},
+    'benchmark': {'core', 'data', 'metrics', 'model', 'odometry', 'replay', 'training', 'cli'},
     'ros': {'core', 'model', 'odometry'},
-    'cli': {'core', 'data', 'metrics', 'model', 'odometry', 'replay', 'ros', 'training'},
+    'cli': {
+        'core',
+        'data',
+        'metrics',
+        'model',
+        'odometry',
+        'replay',
+        'ros',
+        'training',
+        'benchmark',
+    },
 }
 EXCEPTIONS = {
     # The bag player is the one executable of ros/ that reads bags.
@@ -43,9 +54,9 @@ HOMES = {
     'tf2_ros': ('ros/',),
     'rosbags': ('replay/bag_',),
     'mcap': ('replay/bag_',),
-    'kiss_icp': ('odometry/kiss.py',),
-    'torch': ('model/', 'training/', 'cli/'),
-    'embreex': ('data/raycast.py',),
+    'kiss_icp': ('odometry/registration/kiss.py',),
+    'torch': ('model/', 'training/', 'cli/', 'benchmark/'),
+    'embreex': ('data/meshes/raycast.py',),
     'evo': ('metrics/trajectory.py',),
 }
 

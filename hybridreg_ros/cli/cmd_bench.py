@@ -31,14 +31,14 @@ FRAME_GAP_S = 0.1
 def run(args: argparse.Namespace) -> int:
     """Measure and print."""
     if args.data:
-        from hybridreg_ros.cli import bench_data
+        from hybridreg_ros.benchmark import bench_data
 
         return bench_data.run(args)
     import torch
 
     source, target = _clouds(args)
     if args.peers:
-        from hybridreg_ros.cli import bench_peers
+        from hybridreg_ros.benchmark import bench_peers
 
         return bench_peers.run(args, source, target)
     torch.set_num_threads(args.threads)
@@ -81,10 +81,10 @@ def _clouds(args: argparse.Namespace) -> tuple[Cloud, Cloud]:
     if args.pair:
         if len(args.pair) != 2:
             raise ConfigError(f'bench takes two clouds or none, found {len(args.pair)}')
-        from hybridreg_ros.data.clouds import read_cloud
+        from hybridreg_ros.data.loaders.clouds import read_cloud
 
         return read_cloud(args.pair[0]), read_cloud(args.pair[1])
-    from hybridreg_ros.data.simulate import simulate
+    from hybridreg_ros.data.sequences.simulate import simulate
 
     frames = list(simulate('room', 2, 1.0, BUILT_IN_SEED))
     clouds = [f.points[np.isfinite(f.points).all(axis=1)] for f in frames]

@@ -8,12 +8,12 @@ import dataclasses
 import time
 from typing import TYPE_CHECKING
 
+from hybridreg_ros.benchmark.baseline import KissIcpAlone
 from hybridreg_ros.cli.common import bar, progress, write_result
 from hybridreg_ros.cli.live import LiveOptions, replay_live
 from hybridreg_ros.replay import outputs, report, report_tables, runner, session
 from hybridreg_ros.replay.bag_reader import open_bag
 from hybridreg_ros.replay.bag_writer import BagWriter
-from hybridreg_ros.replay.baseline import KissIcpAlone
 from hybridreg_ros.replay.recording import simulated, write_recording
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from hybridreg_ros.cli.common import progress, write_result
 from hybridreg_ros.cli.many import each
 from hybridreg_ros.core import provenance
 from hybridreg_ros.core.errors import FileFormatError
-from hybridreg_ros.data.openers import open_pairs
+from hybridreg_ros.data.loaders.openers import open_pairs
 from hybridreg_ros.training.baselines import METHODS
 from hybridreg_ros.training.evaluate import evaluate, evaluate_method, recorded_pairs
 from hybridreg_ros.training.kept_scores import KeptScores
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from hybridreg_ros.data.loaders import PairSource
+    from hybridreg_ros.data.loaders.posed_frames import PairSource
     from hybridreg_ros.model.register import HybridReg
 
 PAIRS_PER_TASK = 20

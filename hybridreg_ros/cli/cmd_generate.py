@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 
 from hybridreg_ros.cli.common import bar, write_result
 from hybridreg_ros.core.errors import ConfigError
-from hybridreg_ros.data.hybridmatch import SPLITS, scene_of
-from hybridreg_ros.data.preview import write_preview
-from hybridreg_ros.data.splits import PAIRS, first_seed, generate_split
+from hybridreg_ros.data.hybridmatch.preview import write_preview
+from hybridreg_ros.data.hybridmatch.room_pairs import SPLITS, scene_of
+from hybridreg_ros.data.hybridmatch.splits import PAIRS, first_seed, generate_split
 
 if TYPE_CHECKING:
     import argparse
     from pathlib import Path
 
-    from hybridreg_ros.data.splits_summary import SplitSummary
+    from hybridreg_ros.data.hybridmatch.splits_summary import SplitSummary
 
 ALL = 'all'
 

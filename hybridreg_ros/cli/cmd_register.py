@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.cli.common import write_result
-from hybridreg_ros.data.clouds import read_cloud
+from hybridreg_ros.data.loaders.clouds import read_cloud
 from hybridreg_ros.model.register import HybridReg
 
 if TYPE_CHECKING:

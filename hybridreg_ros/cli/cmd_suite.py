@@ -9,21 +9,27 @@ import sys
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from hybridreg_ros.cli import fits
+from hybridreg_ros.benchmark import (
+    fits,
+    suite_data,
+    suite_memory,
+    suite_plots,
+    suite_run,
+    suite_table,
+)
+from hybridreg_ros.benchmark.suite_list import METHODS, STRIDES, chosen
 from hybridreg_ros.cli.common import bar, odometry_config, write_result
 from hybridreg_ros.core.errors import ConfigError, DependencyError, FileFormatError
-from hybridreg_ros.replay import suite_data, suite_memory, suite_plots, suite_run, suite_table
 from hybridreg_ros.replay.interrupt import StopRequest
 from hybridreg_ros.replay.outputs import write_json
-from hybridreg_ros.replay.suite_list import METHODS, STRIDES, chosen
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable
     from pathlib import Path
 
+    from hybridreg_ros.benchmark.suite_list import Sequence
     from hybridreg_ros.odometry.config import OdometryConfig
-    from hybridreg_ros.replay.suite_list import Sequence
 
 EXIT_INTERRUPTED = 130
 

@@ -18,9 +18,9 @@ from safetensors.torch import save_file
 
 from hybridreg_ros.core.config import from_dict, to_dict
 from hybridreg_ros.core.errors import ConfigError, WeightsError
-from hybridreg_ros.model.confidence import Calibration
 from hybridreg_ros.model.config import ModelConfig
-from hybridreg_ros.model.network import HybridRegNet
+from hybridreg_ros.model.network.network import HybridRegNet
+from hybridreg_ros.model.pose.confidence import Calibration
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -16,7 +16,19 @@ import torch
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import RegistrationError
-from hybridreg_ros.model.attempts import (
+from hybridreg_ros.model.checkpoint import load_checkpoint, packaged_weights
+from hybridreg_ros.model.compact_memory import settled
+from hybridreg_ros.model.encoded import EncodedCloud
+from hybridreg_ros.model.geometry.pyramid import build_pyramid, metric_transform, voxel_transform
+from hybridreg_ros.model.geometry.upsampling import values_of_inputs
+from hybridreg_ros.model.geometry.voxel_size import choose_voxel_size_m
+from hybridreg_ros.model.network.estimators import judged
+from hybridreg_ros.model.network.network import HybridRegNet
+from hybridreg_ros.model.pose.confidence import Calibration, features_of
+from hybridreg_ros.model.pose.evidence import evidence_of, trusted_fit
+from hybridreg_ros.model.pose.posterior import posterior_sigma2
+from hybridreg_ros.model.pose.refine import refine
+from hybridreg_ros.model.pose.retry import (
     exchanged,
     frames_of,
     in_order,
@@ -24,20 +36,9 @@ from hybridreg_ros.model.attempts import (
     rotated,
     rotated_back,
 )
-from hybridreg_ros.model.checkpoint import load_checkpoint, packaged_weights
-from hybridreg_ros.model.confidence import Calibration, features_of
-from hybridreg_ros.model.estimators import judged
-from hybridreg_ros.model.evidence import evidence_of, trusted_fit
-from hybridreg_ros.model.network import HybridRegNet
-from hybridreg_ros.model.posterior import posterior_sigma2
-from hybridreg_ros.model.pyramid import build_pyramid, metric_transform, voxel_transform
-from hybridreg_ros.model.refine import refine
-from hybridreg_ros.model.result import Correspondences, EncodedCloud, RegistrationResult
-from hybridreg_ros.model.score import opinions_of
-from hybridreg_ros.model.settled import settled
-from hybridreg_ros.model.spread import values_of_inputs
-from hybridreg_ros.model.verify import proposals_of, verify, view_of
-from hybridreg_ros.model.voxel_size import choose_voxel_size_m
+from hybridreg_ros.model.pose.score import opinions_of
+from hybridreg_ros.model.pose.verify import proposals_of, verify, view_of
+from hybridreg_ros.model.result import Correspondences, RegistrationResult
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -46,12 +47,12 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from hybridreg_ros.model.config import ModelConfig
-    from hybridreg_ros.model.estimators import PoseEstimate
-    from hybridreg_ros.model.evidence import Evidence
-    from hybridreg_ros.model.network import Encoding, MatchOutput
-    from hybridreg_ros.model.pyramid import Pyramid
-    from hybridreg_ros.model.refine import Refinement
-    from hybridreg_ros.model.verify import Verified
+    from hybridreg_ros.model.geometry.pyramid import Pyramid
+    from hybridreg_ros.model.network.estimators import PoseEstimate
+    from hybridreg_ros.model.network.network import Encoding, MatchOutput
+    from hybridreg_ros.model.pose.evidence import Evidence
+    from hybridreg_ros.model.pose.refine import Refinement
+    from hybridreg_ros.model.pose.verify import Verified
 
     Encoded = tuple[EncodedCloud, EncodedCloud]
     F64 = NDArray[np.float64]

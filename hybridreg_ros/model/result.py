@@ -13,31 +13,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from hybridreg_ros.model.confidence import ConfidenceFeatures
-    from hybridreg_ros.model.network import Encoding
-    from hybridreg_ros.model.views import View
-
-
-@dataclass(frozen=True, eq=False)
-class EncodedCloud:
-    """A cloud that is ready to be matched with others; keep it with a keyframe.
-
-    Attributes:
-        encoding: what the network keeps of it.
-        view: what verification and refinement keep of it.
-        size: number of input points, NaN rows included.
-        encode_s: seconds it took.
-    """
-
-    encoding: Encoding
-    view: View
-    size: int
-    encode_s: float
-
-    @property
-    def voxel_size_m(self) -> float:
-        """Metres per finest voxel."""
-        return self.encoding.pyramid.voxel_size_m
+    from hybridreg_ros.model.pose.confidence import ConfidenceFeatures
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,9 +12,9 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hybridreg_ros.odometry.claim import Claim
-    from hybridreg_ros.odometry.cloud import Cloud
+    from hybridreg_ros.odometry.preprocessed import Cloud
     from hybridreg_ros.odometry.result import Reason, Source
+    from hybridreg_ros.odometry.selection.reported_confidence import Claim
 
     F64 = NDArray[np.float64]
 

@@ -11,11 +11,12 @@ import numpy as np
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import NS_PER_S
-from hybridreg_ros.odometry import covariance, learned
+from hybridreg_ros.odometry import network_branch
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.intake import Intake
-from hybridreg_ros.odometry.motion import Motion
+from hybridreg_ros.odometry.motion.prediction import Motion
 from hybridreg_ros.odometry.preprocess import preprocess, recognise_sensor
+from hybridreg_ros.odometry.registration import covariance
 from hybridreg_ros.odometry.result import OdometryResult, Reason, Source
 from hybridreg_ros.odometry.stopwatch import Watch
 from hybridreg_ros.odometry.tracker import Tracker
@@ -26,10 +27,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.core.scan import Scan
-    from hybridreg_ros.odometry.claim import Claim
-    from hybridreg_ros.odometry.cloud import Cloud
     from hybridreg_ros.odometry.estimate import Estimate
-    from hybridreg_ros.odometry.located import Candidate
+    from hybridreg_ros.odometry.preprocessed import Cloud
+    from hybridreg_ros.odometry.selection.candidates import Candidate
+    from hybridreg_ros.odometry.selection.reported_confidence import Claim
 
 _log = logging.getLogger(__name__)
 
@@ -64,7 +65,7 @@ class HybridOdometry:
     ) -> None:
         self.config = config or OdometryConfig()
         wants_network = self.config.registrar == 'hybridreg'
-        self._registrar = learned.load(model) if wants_network else None
+        self._registrar = network_branch.load(model) if wants_network else None
         self._make_motion = motion
         self._intake = Intake(self.config.input)
         self.reset()

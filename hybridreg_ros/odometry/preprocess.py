@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
-from hybridreg_ros.odometry.cloud import Cloud
-from hybridreg_ros.odometry.thinning import first_per_voxel, means_of, occupied, voxel_of
+from hybridreg_ros.odometry.map.thinning import first_per_voxel, means_of, occupied, voxel_of
+from hybridreg_ros.odometry.preprocessed import Cloud
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -11,25 +11,26 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.odometry import calibration, covariance
 from hybridreg_ros.odometry.estimate import Estimate, nothing
-from hybridreg_ros.odometry.learned import LearnedBranch
-from hybridreg_ros.odometry.located import Located
-from hybridreg_ros.odometry.locator import Locator
+from hybridreg_ros.odometry.network_branch import LearnedBranch
+from hybridreg_ros.odometry.registration import covariance
+from hybridreg_ros.odometry.registration.scan_continuity import Trail
 from hybridreg_ros.odometry.result import Reason, Source
-from hybridreg_ros.odometry.scene import Scene
-from hybridreg_ros.odometry.trail import Trail
+from hybridreg_ros.odometry.selection import calibration
+from hybridreg_ros.odometry.selection.candidates import Located
+from hybridreg_ros.odometry.selection.locator import Locator
+from hybridreg_ros.odometry.world import Scene
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hybridreg_ros.odometry.cloud import Cloud
     from hybridreg_ros.odometry.config import OdometryConfig
     from hybridreg_ros.odometry.keyframes import Keyframe
-    from hybridreg_ros.odometry.located import Candidate
-    from hybridreg_ros.odometry.motion import Motion
+    from hybridreg_ros.odometry.motion.prediction import Motion
     from hybridreg_ros.odometry.preprocess import SensorModel
+    from hybridreg_ros.odometry.preprocessed import Cloud
     from hybridreg_ros.odometry.registrar import Registrar
+    from hybridreg_ros.odometry.selection.candidates import Candidate
     from hybridreg_ros.odometry.stopwatch import Watch
 
     F64 = NDArray[np.float64]

@@ -14,8 +14,8 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import FileFormatError
 from hybridreg_ros.core.pointcloud2 import from_arrays
 from hybridreg_ros.core.scan import NS_PER_S
-from hybridreg_ros.data.clouds_depth import organised_points, read_depth_m, read_intrinsics
-from hybridreg_ros.data.tum import CAMERAS, UNITS_PER_M, USUAL_CAMERA
+from hybridreg_ros.data.loaders.depth_images import organised_points, read_depth_m, read_intrinsics
+from hybridreg_ros.data.loaders.tum import CAMERAS, UNITS_PER_M, USUAL_CAMERA
 from hybridreg_ros.replay import trajectory_io
 from hybridreg_ros.replay.recording import EPOCH_S, RecordedFrame
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.core.pointcloud2 import CloudData
-    from hybridreg_ros.data.clouds_depth import Intrinsics
+    from hybridreg_ros.data.loaders.depth_images import Intrinsics
     from hybridreg_ros.metrics.trajectory import Trajectory
 
 LIDAR_FRAME = 'lidar'

@@ -59,7 +59,7 @@ def simulated(
     Raises:
         ConfigError: an argument is outside its range.
     """
-    from hybridreg_ros.data.simulate import simulate
+    from hybridreg_ros.data.sequences.simulate import simulate
 
     for frame in simulate(scene, frames, rate_hz, seed, dynamic=dynamic):
         extra: dict[str, NDArray[Any]] = {

@@ -12,9 +12,9 @@ import torch
 from scipy.optimize import minimize
 
 from hybridreg_ros.metrics import registration
-from hybridreg_ros.model.pyramid import metric_transform
-from hybridreg_ros.model.score import TRACES, Opinion, opinions_of, traces
-from hybridreg_ros.model.verify import finalists, proposals_of
+from hybridreg_ros.model.geometry.pyramid import metric_transform
+from hybridreg_ros.model.pose.score import TRACES, Opinion, opinions_of, traces
+from hybridreg_ros.model.pose.verify import finalists, proposals_of
 from hybridreg_ros.training.validation import overlap_points, threshold_m
 
 if TYPE_CHECKING:

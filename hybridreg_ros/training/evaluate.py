@@ -17,7 +17,7 @@ from hybridreg_ros.core.errors import FileFormatError
 from hybridreg_ros.data.pair import PointPair
 from hybridreg_ros.metrics import calibration as metric
 from hybridreg_ros.metrics import registration
-from hybridreg_ros.model.confidence import Calibration, feature_names
+from hybridreg_ros.model.pose.confidence import Calibration, feature_names
 from hybridreg_ros.training.config import LossConfig
 from hybridreg_ros.training.report import EvalReport, PairScore
 from hybridreg_ros.training.samples import prepare

@@ -25,7 +25,7 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.core.nested import mapped
 from hybridreg_ros.data.pair import Label
-from hybridreg_ros.model.pyramid import Pyramid, build_pyramid, voxel_transform
+from hybridreg_ros.model.geometry.pyramid import Pyramid, build_pyramid, voxel_transform
 from hybridreg_ros.training.augment import augment
 from hybridreg_ros.training.labels import PairLabels, Patches, pair_labels
 from hybridreg_ros.training.sources import ShardSource

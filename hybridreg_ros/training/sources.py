@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.core.errors import ConfigError, FileFormatError
-from hybridreg_ros.data.shards import open_split
+from hybridreg_ros.data.hybridmatch.shards import open_split
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from hybridreg_ros.model.descriptors import MATCH_TEMPERATURE
-from hybridreg_ros.model.pyramid import voxel_transform
-from hybridreg_ros.model.superpoints import gaussian_correlation, pair_weights
+from hybridreg_ros.model.geometry.pyramid import voxel_transform
+from hybridreg_ros.model.network.descriptors import MATCH_TEMPERATURE
+from hybridreg_ros.model.network.superpoints import gaussian_correlation, pair_weights
 from hybridreg_ros.training import losses
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.model.config import ModelConfig
-    from hybridreg_ros.model.network import Encoding, HybridRegNet, SuperpointOutput
+    from hybridreg_ros.model.network.network import Encoding, HybridRegNet, SuperpointOutput
     from hybridreg_ros.training.config import LossConfig
     from hybridreg_ros.training.labels import PairLabels
     from hybridreg_ros.training.samples import Sample

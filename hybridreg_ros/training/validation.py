@@ -18,10 +18,10 @@ from scipy.spatial import cKDTree
 from hybridreg_ros.core import se3
 from hybridreg_ros.data.pair import Label
 from hybridreg_ros.metrics import registration
+from hybridreg_ros.model.encoded import EncodedCloud
+from hybridreg_ros.model.network.superpoints import select_pairs
+from hybridreg_ros.model.pose.verify import view_of
 from hybridreg_ros.model.register import HybridReg
-from hybridreg_ros.model.result import EncodedCloud
-from hybridreg_ros.model.superpoints import select_pairs
-from hybridreg_ros.model.verify import view_of
 from hybridreg_ros.training.report import (
     INDOOR_THRESHOLD_M,
     INDOOR_VOXEL_M,
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 
     from hybridreg_ros.data.pair import PointPair
     from hybridreg_ros.model.config import ModelConfig
-    from hybridreg_ros.model.network import HybridRegNet, SuperpointOutput
+    from hybridreg_ros.model.geometry.views import View
+    from hybridreg_ros.model.network.network import HybridRegNet, SuperpointOutput
     from hybridreg_ros.model.result import RegistrationResult
-    from hybridreg_ros.model.views import View
     from hybridreg_ros.training.config import TrainConfig
 
 MATCH_VOXELS = 1.5

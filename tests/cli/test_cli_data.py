@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from hybridreg_ros.cli import bench_data
+from hybridreg_ros.benchmark import bench_data
 from hybridreg_ros.cli.main import main
-from hybridreg_ros.data import splits_work
-from hybridreg_ros.data.hybridmatch import SPLITS
-from hybridreg_ros.data.hybridmatch_take import Sample
-from hybridreg_ros.data.loaders import recorded_pair
-from hybridreg_ros.data.shards import encode_pair, open_split, write_shard
+from hybridreg_ros.data.hybridmatch.room_pairs import SPLITS, splits_work
+from hybridreg_ros.data.hybridmatch.shards import encode_pair, open_split, write_shard
+from hybridreg_ros.data.hybridmatch.take import Sample
+from hybridreg_ros.data.loaders.posed_frames import recorded_pair
 from hybridreg_ros.training import baselines
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from hybridreg_ros.cli.main import main
-from hybridreg_ros.data.hybridmatch import make_pairs
-from hybridreg_ros.data.shards import encode_pair, write_shard
+from hybridreg_ros.data.hybridmatch.room_pairs import make_pairs
+from hybridreg_ros.data.hybridmatch.shards import encode_pair, write_shard
 from hybridreg_ros.model.checkpoint import load_checkpoint, packaged_weights
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ from hybridreg_ros.core.se3 import apply
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hybridreg_ros.data.hybridmatch_take import Sample
+    from hybridreg_ros.data.hybridmatch.take import Sample
 
     F64 = NDArray[np.float64]
 

@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 
 from hybridreg_ros.core.errors import ConfigError
-from hybridreg_ros.data import bodies
-from hybridreg_ros.data.animals import SHAPES
-from hybridreg_ros.data.bodies_rig import Part, RigidMover
-from hybridreg_ros.data.bodies_track import KeyFrames, Track, loop_track, straight_track
-from hybridreg_ros.data.humans import human_rig
-from hybridreg_ros.data.humans_motion import LIMITS, make_motion
+from hybridreg_ros.data.bodies import movers
+from hybridreg_ros.data.bodies.animals import SHAPES
+from hybridreg_ros.data.bodies.humans import human_rig
+from hybridreg_ros.data.bodies.humans_motion import LIMITS, make_motion
+from hybridreg_ros.data.bodies.rig import Part, RigidMover
+from hybridreg_ros.data.bodies.track import KeyFrames, Track, loop_track, straight_track
 from hybridreg_ros.data.pair import Label
 
 ORIGIN = np.zeros(3)
 MAKERS = {
-    'cloth': bodies.make_cloth,
-    'door': bodies.make_door,
-    'suitcase': bodies.make_suitcase,
-    'robot_arm': bodies.make_robot_arm,
-    'fan': bodies.make_fan,
+    'cloth': movers.make_cloth,
+    'door': movers.make_door,
+    'suitcase': movers.make_suitcase,
+    'robot_arm': movers.make_robot_arm,
+    'fan': movers.make_fan,
 }
 
 
@@ -35,11 +35,11 @@ def rng(seed=0):
     return np.random.default_rng(seed)
 
 
-@pytest.mark.parametrize('activity', bodies.HUMAN_ACTIVITIES)
+@pytest.mark.parametrize('activity', movers.HUMAN_ACTIVITIES)
 def test_humans_keep_their_topology_stay_finite_and_stand_on_the_ground(activity):
     start = np.array([3.0, -2.0, 0.5])
     for seed in range(3):
-        human = bodies.make_human(rng(seed), start, 1.0, activity=activity)
+        human = movers.make_human(rng(seed), start, 1.0, activity=activity)
         faces = human.mesh_at(0.0).faces
         for time_s in (0.0, 0.4, 2.7, 60.0):
             mesh = human.mesh_at(time_s)
@@ -55,7 +55,7 @@ def test_humans_keep_their_topology_stay_finite_and_stand_on_the_ground(activity
 def test_active_humans_move_by_more_than_a_quarter_metre_within_three_seconds(activity):
     most = []
     for seed in range(5):
-        human = bodies.make_human(rng(seed), ORIGIN, activity=activity)
+        human = movers.make_human(rng(seed), ORIGIN, activity=activity)
         most.append(max(displacement_m(human, 1.0, 1.0 + d) for d in (0.3, 1.0, 2.0, 3.0)))
     assert np.mean(np.array(most) > 0.25) >= 0.8
 
@@ -63,7 +63,7 @@ def test_active_humans_move_by_more_than_a_quarter_metre_within_three_seconds(ac
 @pytest.mark.parametrize('kind', list(SHAPES))
 def test_animals_of_every_kind_walk_on_the_ground(kind):
     low, high = SHAPES[kind].shoulder_m
-    animal = bodies.make_animal(rng(4), ORIGIN, kind=kind, activity='trot')
+    animal = movers.make_animal(rng(4), ORIGIN, kind=kind, activity='trot')
     mesh = animal.mesh_at(0.7)
     assert np.array_equal(mesh.faces, animal.mesh_at(3.0).faces)
     assert 0.7 * low < np.ptp(mesh.vertices[:, 2]) < 2.6 * high
@@ -71,9 +71,9 @@ def test_animals_of_every_kind_walk_on_the_ground(kind):
     assert displacement_m(animal, 0.0, 1.0) > 0.25
 
 
-@pytest.mark.parametrize('activity', bodies.ANIMAL_ACTIVITIES)
+@pytest.mark.parametrize('activity', movers.ANIMAL_ACTIVITIES)
 def test_every_animal_activity_is_finite(activity):
-    animal = bodies.make_animal(rng(1), ORIGIN, kind='dog', activity=activity)
+    animal = movers.make_animal(rng(1), ORIGIN, kind='dog', activity=activity)
     assert np.isfinite(animal.mesh_at(12.3).vertices).all()
     assert animal.label is Label.DEFORMING
 
@@ -90,16 +90,16 @@ def test_other_things_move_and_keep_their_topology(name):
 
 
 def test_a_rigid_mover_keeps_all_distances():
-    door = bodies.make_door(rng(3), ORIGIN)
+    door = movers.make_door(rng(3), ORIGIN)
     a, b = (door.mesh_at(t).vertices.astype(np.float64) for t in (0.0, 1.1))
     near = np.linalg.norm(a[:50] - a[50:100], axis=1)
     assert np.allclose(near, np.linalg.norm(b[:50] - b[50:100], axis=1), atol=1e-5)
 
 
 def test_the_same_seed_gives_the_same_body_and_another_seed_another():
-    one = bodies.make_human(rng(5), ORIGIN).mesh_at(1.0).vertices
-    assert np.array_equal(one, bodies.make_human(rng(5), ORIGIN).mesh_at(1.0).vertices)
-    other = bodies.make_human(rng(6), ORIGIN).mesh_at(1.0).vertices
+    one = movers.make_human(rng(5), ORIGIN).mesh_at(1.0).vertices
+    assert np.array_equal(one, movers.make_human(rng(5), ORIGIN).mesh_at(1.0).vertices)
+    other = movers.make_human(rng(6), ORIGIN).mesh_at(1.0).vertices
     assert one.shape != other.shape or not np.allclose(one, other, atol=0.05)
 
 
@@ -125,7 +125,7 @@ def test_coarse_people_have_far_fewer_triangles_and_the_same_size():
 
 
 def test_limbs_keep_within_joint_limits():
-    for activity in bodies.HUMAN_ACTIVITIES:
+    for activity in movers.HUMAN_ACTIVITIES:
         motion = make_motion(rng(9), activity, ORIGIN, 0.0, leg_m=0.9)
         for time_s in np.linspace(0.0, 9.0, 19):
             angles = motion(float(time_s)).angles
@@ -135,7 +135,7 @@ def test_limbs_keep_within_joint_limits():
 
 def test_a_walker_follows_its_track_at_its_speed_and_the_ground():
     track = straight_track(np.array([0.0, 0.0]), 0.0)
-    human = bodies.make_human(rng(1), ORIGIN, activity='walk', track=track, speed_mps=1.5,
+    human = movers.make_human(rng(1), ORIGIN, activity='walk', track=track, speed_mps=1.5,
                               ground=lambda x, y: 0.1 * x)  # fmt: skip
     a, b = human.mesh_at(0.0).vertices, human.mesh_at(4.0).vertices
     assert abs((b - a)[:, 0].mean() - 6.0) < 0.2
@@ -144,11 +144,11 @@ def test_a_walker_follows_its_track_at_its_speed_and_the_ground():
 
 def test_unknown_activities_and_kinds_are_refused_in_one_line():
     with pytest.raises(ConfigError, match='activity: expected one of walk'):
-        bodies.make_human(rng(), ORIGIN, activity='fly')
+        movers.make_human(rng(), ORIGIN, activity='fly')
     with pytest.raises(ConfigError, match='kind: expected one of dog'):
-        bodies.make_animal(rng(), ORIGIN, kind='dragon')
+        movers.make_animal(rng(), ORIGIN, kind='dragon')
     with pytest.raises(ConfigError, match="found 'fly'"):
-        bodies.make_animal(rng(), ORIGIN, activity='fly')
+        movers.make_animal(rng(), ORIGIN, activity='fly')
 
 
 def test_tracks_measure_their_length_and_go_on():
@@ -175,5 +175,5 @@ def test_key_frames_pass_through_their_keys():
 
 
 def test_rigid_movers_are_movers():
-    mover = bodies.make_suitcase(rng(1), ORIGIN)
+    mover = movers.make_suitcase(rng(1), ORIGIN)
     assert isinstance(mover, RigidMover)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from hybridreg_ros.core.errors import FileFormatError
-from hybridreg_ros.data import clouds_lzf
-from hybridreg_ros.data.clouds import read_cloud
+from hybridreg_ros.data.loaders.clouds import read_cloud
+from hybridreg_ros.data.loaders.posed_frames import lzf
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -142,13 +142,13 @@ def test_bad_clouds(tmp_path: Path) -> None:
 
 
 def test_lzf() -> None:
-    assert doctest.testmod(clouds_lzf).failed == 0
+    assert doctest.testmod(lzf).failed == 0
     # literal 'ab', then 2 + 7 + 3 bytes from 2 back
-    assert clouds_lzf.decompress(bytes([1, 97, 98, 0xE0, 3, 1]), 14) == b'ab' * 7
+    assert lzf.decompress(bytes([1, 97, 98, 0xE0, 3, 1]), 14) == b'ab' * 7
     for packed, text in (
         (bytes([0x80]), 'cut off'),
         (bytes([0x80, 2]), 'before their beginning'),
         (bytes([0, 97]), 'hold 1 bytes, expected 5'),
     ):
         with pytest.raises(ValueError, match=text):
-            clouds_lzf.decompress(packed, 5)
+            lzf.decompress(packed, 5)

@@ -12,14 +12,14 @@ import pytest
 
 from hybridreg_ros.core.errors import FileFormatError
 from hybridreg_ros.core.se3 import transform
-from hybridreg_ros.data.clouds import read_cloud, write_cloud
-from hybridreg_ros.data.clouds_depth import (
+from hybridreg_ros.data.loaders.clouds import read_cloud, write_cloud
+from hybridreg_ros.data.loaders.depth_images import (
     Intrinsics,
     depth_to_points,
     read_depth_m,
     read_intrinsics,
 )
-from hybridreg_ros.data.clouds_overlap import near_cells, overlap_share
+from hybridreg_ros.data.overlap import near_cells, overlap_share
 
 SHARED = Path(__file__).resolve().parents[2].parent / 'shared' / 'data'
 POINTS = np.random.default_rng(0).normal(size=(57, 3)).astype(np.float32)

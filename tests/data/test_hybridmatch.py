@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 
 from hybridreg_ros.core.errors import ConfigError
 from hybridreg_ros.core.se3 import apply
-from hybridreg_ros.data import streets_pairs
-from hybridreg_ros.data.hybridmatch import (
+from hybridreg_ros.data.hybridmatch import street_pairs
+from hybridreg_ros.data.hybridmatch.room_pairs import (
     CROWD,
     SPLITS,
     cell_of,
@@ -23,12 +23,12 @@ from hybridreg_ros.data.hybridmatch import (
     parse_split,
     scene_of,
 )
-from hybridreg_ros.data.hybridmatch_world import make_world
-from hybridreg_ros.data.scene import Standing
-from hybridreg_ros.data.shards import encode_pair
+from hybridreg_ros.data.hybridmatch.shards import encode_pair
+from hybridreg_ros.data.hybridmatch.stage import make_world
+from hybridreg_ros.data.meshes.scene import Standing
 
 if TYPE_CHECKING:
-    from hybridreg_ros.data.hybridmatch_take import Sample
+    from hybridreg_ros.data.hybridmatch.take import Sample
     from hybridreg_ros.data.pair import PointPair
 
 SEED = 8_990_000
@@ -162,7 +162,7 @@ def test_street_names_lead_to_streets(monkeypatch: pytest.MonkeyPatch) -> None:
         calls.append((args, kwargs))
         return []
 
-    monkeypatch.setattr(streets_pairs, 'street_cell', street_cell)
+    monkeypatch.setattr(street_pairs, 'street_cell', street_cell)
     for split in ('street-lomatch-30-50', 'street-match-rigid'):
         assert make_samples(split, 7, count=2, still=True) == []
         assert calls[-1] == ((7, cell_of(split), 2), {'still': True, 'name': split})

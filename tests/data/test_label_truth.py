@@ -13,11 +13,11 @@ import pytest
 from label_truth import SIGMAS, LabelCheck, check_labels
 
 from hybridreg_ros.core.se3 import exp
-from hybridreg_ros.data.hybridmatch import SPLITS, make_samples
+from hybridreg_ros.data.hybridmatch.room_pairs import SPLITS, make_samples
 from hybridreg_ros.data.pair import Label
 
 if TYPE_CHECKING:
-    from hybridreg_ros.data.hybridmatch_take import Sample
+    from hybridreg_ros.data.hybridmatch.take import Sample
 
 pytest.importorskip('embreex')
 SEED = 8_990_000

@@ -11,13 +11,13 @@ import pytest
 
 from hybridreg_ros.core.errors import ConfigError
 from hybridreg_ros.core.se3 import apply, exp, inverse, transform
-from hybridreg_ros.data.bodies_rig import RigidMover
-from hybridreg_ros.data.lidar import make_lidar, random_lidar
-from hybridreg_ros.data.lidar_tables import TABLES
+from hybridreg_ros.data.bodies.rig import RigidMover
+from hybridreg_ros.data.meshes.raycast import Caster
+from hybridreg_ros.data.meshes.scene import Mesh, Scene
+from hybridreg_ros.data.meshes.shapes import box, superquadric
 from hybridreg_ros.data.pair import Label
-from hybridreg_ros.data.raycast import Caster
-from hybridreg_ros.data.scene import Mesh, Scene
-from hybridreg_ros.data.shapes import box, superquadric
+from hybridreg_ros.data.sensors.lidar import make_lidar, random_lidar
+from hybridreg_ros.data.sensors.lidar_tables import TABLES
 
 pytest.importorskip('embreex')
 

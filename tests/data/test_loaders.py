@@ -12,14 +12,19 @@ import pytest
 
 from hybridreg_ros.core.errors import FileFormatError
 from hybridreg_ros.core.se3 import apply, exp, inverse
-from hybridreg_ros.data.clouds import write_cloud
-from hybridreg_ros.data.eth import Eth
-from hybridreg_ros.data.kitti import KittiOdometry
-from hybridreg_ros.data.loaders import from_quaternion, pairs_apart, read_numbers, rigid
-from hybridreg_ros.data.official import OfficialHybridMatch
-from hybridreg_ros.data.sevenscenes import SevenScenes
-from hybridreg_ros.data.threedmatch import ThreeDMatch, read_log
-from hybridreg_ros.data.tum import TumRgbd
+from hybridreg_ros.data.loaders.clouds import write_cloud
+from hybridreg_ros.data.loaders.eth import Eth
+from hybridreg_ros.data.loaders.kitti import KittiOdometry
+from hybridreg_ros.data.loaders.official import OfficialHybridMatch
+from hybridreg_ros.data.loaders.posed_frames import (
+    from_quaternion,
+    pairs_apart,
+    read_numbers,
+    rigid,
+)
+from hybridreg_ros.data.loaders.sevenscenes import SevenScenes
+from hybridreg_ros.data.loaders.threedmatch import ThreeDMatch, read_log
+from hybridreg_ros.data.loaders.tum import TumRgbd
 
 SHARED = Path(__file__).resolve().parents[2].parent / 'shared' / 'data'
 WORLD = np.random.default_rng(0).uniform([-20, -20, -1], [20, 20, 3], (800, 3))

@@ -13,15 +13,15 @@ from test_shards import tiny
 
 from hybridreg_ros.core.errors import FileFormatError
 from hybridreg_ros.core.se3 import inverse
-from hybridreg_ros.data.clouds import write_cloud
-from hybridreg_ros.data.eth import Eth
-from hybridreg_ros.data.kitti import KittiOdometry
-from hybridreg_ros.data.official import OfficialHybridMatch
-from hybridreg_ros.data.openers import open_pairs
-from hybridreg_ros.data.sevenscenes import SevenScenes
-from hybridreg_ros.data.shards import Split, encode_pair, write_shard
-from hybridreg_ros.data.threedmatch import ThreeDMatch
-from hybridreg_ros.data.tum import TumRgbd
+from hybridreg_ros.data.hybridmatch.shards import Split, encode_pair, write_shard
+from hybridreg_ros.data.loaders.clouds import write_cloud
+from hybridreg_ros.data.loaders.eth import Eth
+from hybridreg_ros.data.loaders.kitti import KittiOdometry
+from hybridreg_ros.data.loaders.official import OfficialHybridMatch
+from hybridreg_ros.data.loaders.openers import open_pairs
+from hybridreg_ros.data.loaders.sevenscenes import SevenScenes
+from hybridreg_ros.data.loaders.threedmatch import ThreeDMatch
+from hybridreg_ros.data.loaders.tum import TumRgbd
 
 __all__ = ['kitti', 'official']
 SHARED = Path(__file__).resolve().parents[2].parent / 'shared' / 'data'

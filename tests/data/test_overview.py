@@ -11,11 +11,15 @@ import pytest
 from test_shards import tiny
 
 from hybridreg_ros.core.errors import ConfigError, FileFormatError
-from hybridreg_ros.data import splits_work
-from hybridreg_ros.data.hybridmatch import SPLITS
-from hybridreg_ros.data.hybridmatch_take import Sample
-from hybridreg_ros.data.overview import draw_overview, overview_table, read_overview
-from hybridreg_ros.data.splits import SEEDS_PER_SPLIT, first_seed, generate_split, seed_range
+from hybridreg_ros.data.hybridmatch.overview import draw_overview, overview_table, read_overview
+from hybridreg_ros.data.hybridmatch.room_pairs import SPLITS, splits_work
+from hybridreg_ros.data.hybridmatch.splits import (
+    SEEDS_PER_SPLIT,
+    first_seed,
+    generate_split,
+    seed_range,
+)
+from hybridreg_ros.data.hybridmatch.take import Sample
 
 if TYPE_CHECKING:
     from pathlib import Path

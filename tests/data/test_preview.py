@@ -12,11 +12,11 @@ import pytest
 from test_shards import tiny
 
 from hybridreg_ros.core.errors import DependencyError, FileFormatError
-from hybridreg_ros.data.preview import limits_of, panels, write_preview
-from hybridreg_ros.data.preview_raster import View, is_panorama, occupied, paint
-from hybridreg_ros.data.shards import encode_pair, write_shard
-from hybridreg_ros.data.splits_summary import summarise
-from hybridreg_ros.data.splits_work import Row
+from hybridreg_ros.data.hybridmatch.preview import limits_of, panels, write_preview
+from hybridreg_ros.data.hybridmatch.preview_raster import View, is_panorama, occupied, paint
+from hybridreg_ros.data.hybridmatch.shards import encode_pair, write_shard
+from hybridreg_ros.data.hybridmatch.splits_files import Row
+from hybridreg_ros.data.hybridmatch.splits_summary import summarise
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from hybridreg_ros.core.errors import DependencyError
-from hybridreg_ros.data.geometry import moved
+from hybridreg_ros.data.meshes.geometry import moved
+from hybridreg_ros.data.meshes.raycast import CLOCK, Caster
+from hybridreg_ros.data.meshes.scene import Mesh, Scene, Standing, merge
+from hybridreg_ros.data.meshes.shapes import box, superquadric
 from hybridreg_ros.data.pair import Label
-from hybridreg_ros.data.raycast import CLOCK, Caster
-from hybridreg_ros.data.scene import Mesh, Scene, Standing, merge
-from hybridreg_ros.data.shapes import box, superquadric
 
 
 class Slider:

@@ -7,13 +7,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hybridreg_ros.data.clutter import Boxes
-from hybridreg_ros.data.geometry import bounds
+from hybridreg_ros.data.meshes.geometry import bounds
+from hybridreg_ros.data.meshes.raycast import Caster
 from hybridreg_ros.data.pair import Label
-from hybridreg_ros.data.raycast import Caster
-from hybridreg_ros.data.rooms import background, make_room
-from hybridreg_ros.data.rooms_floor import FloorGrid, inside, random_plan
-from hybridreg_ros.data.rooms_motion import set_stage
+from hybridreg_ros.data.rooms.clutter import Boxes
+from hybridreg_ros.data.rooms.floor import FloorGrid, inside, random_plan
+from hybridreg_ros.data.rooms.furnished import background, make_room
+from hybridreg_ros.data.rooms.motion import set_stage
 
 KINDS = ('room', 'corridor', 'office', 'hall')
 

@@ -9,10 +9,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hybridreg_ros.data.geometry import look_at, moved
-from hybridreg_ros.data.raycast import Caster
-from hybridreg_ros.data.scene import Mesh, Scene, merge
-from hybridreg_ros.data.sensors import DepthCamera, DepthImage, DepthNoise, random_camera
+from hybridreg_ros.data.meshes.geometry import look_at, moved
+from hybridreg_ros.data.meshes.raycast import Caster
+from hybridreg_ros.data.meshes.scene import Mesh, Scene, merge
+from hybridreg_ros.data.sensors.depth_camera import (
+    DepthCamera,
+    DepthImage,
+    DepthNoise,
+    random_camera,
+)
 
 PERFECT = DepthCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
 LARGE = DepthCamera(160, 120, 150.0, 150.0, 79.5, 59.5)

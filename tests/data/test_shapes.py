@@ -9,11 +9,17 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from hybridreg_ros.data import shapes
-from hybridreg_ros.data.furniture_fittings import FAMILIES
-from hybridreg_ros.data.geometry import SmoothNoise, bounds, fitted, random_rotation, voxel_thin
-from hybridreg_ros.data.scene import Mesh, merge
-from hybridreg_ros.data.shapes_csg import csg, deformed, free_form, isosurface
+from hybridreg_ros.data.meshes import shapes
+from hybridreg_ros.data.meshes.csg import csg, deformed, free_form, isosurface
+from hybridreg_ros.data.meshes.geometry import (
+    SmoothNoise,
+    bounds,
+    fitted,
+    random_rotation,
+    voxel_thin,
+)
+from hybridreg_ros.data.meshes.scene import Mesh, merge
+from hybridreg_ros.data.rooms.furniture_fittings import FAMILIES
 
 
 def volume(mesh: Mesh) -> float:

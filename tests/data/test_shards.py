@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from hybridreg_ros.core.errors import FileFormatError
-from hybridreg_ros.data.pair import PointPair
-from hybridreg_ros.data.shards import (
+from hybridreg_ros.data.hybridmatch.shards import (
     decode_pair,
     encode_pair,
     open_split,
@@ -20,6 +19,7 @@ from hybridreg_ros.data.shards import (
     read_offsets,
     write_shard,
 )
+from hybridreg_ros.data.pair import PointPair
 
 if TYPE_CHECKING:
     from pathlib import Path

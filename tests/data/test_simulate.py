@@ -10,8 +10,9 @@ from scipy.spatial import cKDTree
 
 from hybridreg_ros.core.errors import ConfigError
 from hybridreg_ros.core.se3 import apply, exp, inverse, log
-from hybridreg_ros.data.simulate import CAMERA_FRAME, LIDAR_FRAME, SimulatedFrame, simulate
-from hybridreg_ros.data.simulate_street import street_frames
+from hybridreg_ros.data.sequences.frame import LIDAR_FRAME, SimulatedFrame
+from hybridreg_ros.data.sequences.simulate import CAMERA_FRAME, simulate
+from hybridreg_ros.data.sequences.street import street_frames
 
 SIZE = (48, 36)
 

@@ -9,15 +9,15 @@ import pytest
 
 from hybridreg_ros.core.errors import ConfigError
 from hybridreg_ros.core.se3 import apply, is_rigid
-from hybridreg_ros.data.clouds_overlap import near_cells
-from hybridreg_ros.data.hybridmatch_take import Cell
-from hybridreg_ros.data.raycast import Caster
-from hybridreg_ros.data.scene import Standing
-from hybridreg_ros.data.streets import KINDS, make_street
-from hybridreg_ros.data.streets_pairs import _with_some_moving, street_cell, street_pair
-from hybridreg_ros.data.streets_traffic import Accompanying
-from hybridreg_ros.data.vehicles import KINDS as VEHICLES
-from hybridreg_ros.data.vehicles import cart, make_vehicle
+from hybridreg_ros.data.hybridmatch.cell import Cell
+from hybridreg_ros.data.hybridmatch.street_pairs import _with_some_moving, street_cell, street_pair
+from hybridreg_ros.data.meshes.raycast import Caster
+from hybridreg_ros.data.meshes.scene import Standing
+from hybridreg_ros.data.overlap import near_cells
+from hybridreg_ros.data.streets.outdoors import KINDS, make_street
+from hybridreg_ros.data.streets.traffic import Accompanying
+from hybridreg_ros.data.streets.vehicles import KINDS as VEHICLES
+from hybridreg_ros.data.streets.vehicles import cart, make_vehicle
 
 pytest.importorskip('embreex')
 

@@ -13,7 +13,9 @@ import pytest
 from hybridreg_ros import HybridReg
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import ConfigError, RegistrationError
-from hybridreg_ros.model.attempts import (
+from hybridreg_ros.model.config import ModelConfig
+from hybridreg_ros.model.pose.confidence import ConfidenceFeatures
+from hybridreg_ros.model.pose.retry import (
     FRAMES,
     NARROW_FRAMES,
     exchanged,
@@ -23,12 +25,10 @@ from hybridreg_ros.model.attempts import (
     rotated,
     rotated_back,
 )
-from hybridreg_ros.model.confidence import ConfidenceFeatures
-from hybridreg_ros.model.config import ModelConfig
 from hybridreg_ros.model.result import Correspondences, RegistrationResult
 
 if TYPE_CHECKING:
-    from hybridreg_ros.model.network import HybridRegNet
+    from hybridreg_ros.model.network.network import HybridRegNet
 
 T = se3.transform(se3.so3_exp(np.array([0.2, -0.1, 0.4])), np.array([1.0, -2.0, 0.5]))
 

@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.model.attention import CrossLayer, GeometryTable, SelfLayer, sinusoids
 from hybridreg_ros.model.config import ModelConfig
-from hybridreg_ros.model.pyramid import pairwise_bins
+from hybridreg_ros.model.geometry.pyramid import pairwise_bins
+from hybridreg_ros.model.network.attention import CrossLayer, GeometryTable, SelfLayer, sinusoids
 
 SMALL = {'dim': 32, 'heads': 4}
 

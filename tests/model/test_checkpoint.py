@@ -16,12 +16,12 @@ from safetensors.torch import load_file, save_file
 
 from hybridreg_ros.core.errors import ConfigError, WeightsError
 from hybridreg_ros.model import checkpoint
-from hybridreg_ros.model.confidence import Calibration, ConfidenceFeatures, feature_names
+from hybridreg_ros.model.pose.confidence import Calibration, ConfidenceFeatures, feature_names
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hybridreg_ros.model.network import HybridRegNet
+    from hybridreg_ros.model.network.network import HybridRegNet
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from hybridreg_ros.model.descriptors import evenly_spread, likely_pairs
+from hybridreg_ros.model.network.descriptors import evenly_spread, likely_pairs
 
 
 def _features(count: int, seed: int = 0) -> torch.Tensor:

@@ -9,7 +9,7 @@ import pytest
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.model.config import ModelConfig
-from hybridreg_ros.model.estimators import (
+from hybridreg_ros.model.network.estimators import (
     PointMatches,
     batched_kabsch,
     estimate_pose,

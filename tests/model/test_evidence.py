@@ -12,16 +12,16 @@ import pytest
 import torch
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.model.evidence import Evidence, trusted_fit
-from hybridreg_ros.model.neighbours import CellList
-from hybridreg_ros.model.normals import surface_normals
-from hybridreg_ros.model.pyramid import build_pyramid
-from hybridreg_ros.model.views import View, fits
+from hybridreg_ros.model.geometry.neighbours import CellList
+from hybridreg_ros.model.geometry.normals import surface_normals
+from hybridreg_ros.model.geometry.pyramid import build_pyramid
+from hybridreg_ros.model.geometry.views import View, fits
+from hybridreg_ros.model.pose.evidence import Evidence, trusted_fit
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hybridreg_ros.model.network import HybridRegNet
+    from hybridreg_ros.model.network.network import HybridRegNet
 
     F32 = NDArray[np.float32]
 

@@ -7,15 +7,15 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from hybridreg_ros.model.backbone import KPConv
-from hybridreg_ros.model.kernel import (
+from hybridreg_ros.model.geometry.kernel import (
     KernelOperator,
     aggregate,
     influence_sums,
     kernel_operator,
     kernel_points,
 )
-from hybridreg_ros.model.neighbours import CellList
+from hybridreg_ros.model.geometry.neighbours import CellList
+from hybridreg_ros.model.network.backbone import KPConv
 
 
 def _operator(

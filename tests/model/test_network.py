@@ -12,11 +12,11 @@ import torch
 
 from hybridreg_ros.core.errors import ConfigError, RegistrationError
 from hybridreg_ros.model.config import ModelConfig
-from hybridreg_ros.model.network import HybridRegNet
-from hybridreg_ros.model.pyramid import build_pyramid
+from hybridreg_ros.model.geometry.pyramid import build_pyramid
+from hybridreg_ros.model.network.network import HybridRegNet
 
 if TYPE_CHECKING:
-    from hybridreg_ros.model.network import Encoding
+    from hybridreg_ros.model.network.network import Encoding
 
 SHIFT_M = np.array([0.8, -0.4, 0.4], np.float32)  # whole superpoint voxels: the grids coincide
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.model.neighbours import CellList
-from hybridreg_ros.model.normals import surface_normals
+from hybridreg_ros.model.geometry.neighbours import CellList
+from hybridreg_ros.model.geometry.normals import surface_normals
 
 
 @pytest.mark.parametrize('turn', [(0.0, 0.0, 0.0), (0.4, -0.9, 0.2), (1.5, 0.1, 0.0)])

@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.model import ops
-from hybridreg_ros.model.neighbours import CellList
+from hybridreg_ros.model.geometry import ops
+from hybridreg_ros.model.geometry.neighbours import CellList
 
 
 @pytest.mark.parametrize(('radius', 'cell'), [(0.3, 0.3), (0.7, 0.3), (0.2, 0.5)])

@@ -13,13 +13,13 @@ import torch
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.model.config import ModelConfig
-from hybridreg_ros.model.pyramid import (
+from hybridreg_ros.model.geometry.pyramid import (
     Pyramid,
     build_pyramid,
     metric_transform,
     voxel_transform,
 )
-from hybridreg_ros.model.spread import spread_to_level0, values_of_inputs
+from hybridreg_ros.model.geometry.upsampling import spread_to_level0, values_of_inputs
 
 CONFIG = ModelConfig()
 

@@ -14,17 +14,17 @@ import torch
 from hybridreg_ros import HybridReg
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import RegistrationError
-from hybridreg_ros.model.confidence import Calibration, ConfidenceFeatures
-from hybridreg_ros.model.neighbours import CellList
-from hybridreg_ros.model.normals import surface_normals
-from hybridreg_ros.model.posterior import posterior_sigma2
-from hybridreg_ros.model.pyramid import build_pyramid
-from hybridreg_ros.model.refine import refine
-from hybridreg_ros.model.views import View
-from hybridreg_ros.model.voxel_size import choose_voxel_size_m
+from hybridreg_ros.model.geometry.neighbours import CellList
+from hybridreg_ros.model.geometry.normals import surface_normals
+from hybridreg_ros.model.geometry.pyramid import build_pyramid
+from hybridreg_ros.model.geometry.views import View
+from hybridreg_ros.model.geometry.voxel_size import choose_voxel_size_m
+from hybridreg_ros.model.pose.confidence import Calibration, ConfidenceFeatures
+from hybridreg_ros.model.pose.posterior import posterior_sigma2
+from hybridreg_ros.model.pose.refine import refine
 
 if TYPE_CHECKING:
-    from hybridreg_ros.model.network import HybridRegNet
+    from hybridreg_ros.model.network.network import HybridRegNet
 
 SHIFT_M = np.array([0.8, -0.4, 0.4], np.float32)
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.model.hypotheses import Candidates
-from hybridreg_ros.model.neighbours import CellList
-from hybridreg_ros.model.normals import surface_normals
-from hybridreg_ros.model.score import TRACES, Opinion, scores, traces
-from hybridreg_ros.model.views import View, fits, intrusions
+from hybridreg_ros.model.geometry.neighbours import CellList
+from hybridreg_ros.model.geometry.normals import surface_normals
+from hybridreg_ros.model.geometry.views import View, fits, intrusions
+from hybridreg_ros.model.pose.hypotheses import Candidates
+from hybridreg_ros.model.pose.score import TRACES, Opinion, scores, traces
 
 SENSOR = np.array([40.0, 40.0, 30.0])
 TRUE = se3.exp(np.array([6.0, -4.0, 1.0, 0.0, 0.1, 0.4]))

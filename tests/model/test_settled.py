@@ -12,13 +12,13 @@ import torch
 from hybridreg_ros import HybridReg
 from hybridreg_ros.core.nested import mapped
 from hybridreg_ros.core.pages import has_pages
-from hybridreg_ros.model.grid import Grid
-from hybridreg_ros.model.pyramid import build_pyramid
-from hybridreg_ros.model.settled import settled
-from hybridreg_ros.model.verify import view_of
+from hybridreg_ros.model.compact_memory import settled
+from hybridreg_ros.model.geometry.grid import Grid
+from hybridreg_ros.model.geometry.pyramid import build_pyramid
+from hybridreg_ros.model.pose.verify import view_of
 
 if TYPE_CHECKING:
-    from hybridreg_ros.model.network import HybridRegNet
+    from hybridreg_ros.model.network.network import HybridRegNet
 
 
 def arrays(value: Any) -> list[np.ndarray]:

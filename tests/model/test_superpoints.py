@@ -9,7 +9,11 @@ import torch
 from torch.nn.functional import normalize
 
 from hybridreg_ros.model.config import ModelConfig
-from hybridreg_ros.model.superpoints import gaussian_correlation, pair_weights, select_pairs
+from hybridreg_ros.model.network.superpoints import (
+    gaussian_correlation,
+    pair_weights,
+    select_pairs,
+)
 
 
 def test_correlation_is_gaussian_of_the_distance() -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from hybridreg_ros.model.transport import MASKED, Transport
+from hybridreg_ros.model.network.transport import MASKED, Transport
 
 
 def _masks() -> tuple[torch.Tensor, torch.Tensor]:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.model.upright import upright
+from hybridreg_ros.model.geometry.upright import upright
 
 
 def camera_view(seed: int, rows: int = 48, columns: int = 64) -> np.ndarray:

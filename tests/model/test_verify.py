@@ -13,19 +13,19 @@ import pytest
 from hybridreg_ros import HybridReg
 from hybridreg_ros.core import se3
 from hybridreg_ros.model.config import ModelConfig
-from hybridreg_ros.model.estimators import PointMatches, lgr
-from hybridreg_ros.model.grid import Grid
-from hybridreg_ros.model.hypotheses import Candidates, consistent_hypotheses, distinct
-from hybridreg_ros.model.neighbours import CellList
-from hybridreg_ros.model.normals import surface_normals
-from hybridreg_ros.model.polish import polished
-from hybridreg_ros.model.verify import Verified, propose, verify
-from hybridreg_ros.model.views import View, fits, intrusions
+from hybridreg_ros.model.geometry.grid import Grid
+from hybridreg_ros.model.geometry.neighbours import CellList
+from hybridreg_ros.model.geometry.normals import surface_normals
+from hybridreg_ros.model.geometry.views import View, fits, intrusions
+from hybridreg_ros.model.network.estimators import PointMatches, lgr
+from hybridreg_ros.model.pose.hypotheses import Candidates, consistent_hypotheses, distinct
+from hybridreg_ros.model.pose.plane_icp import polished
+from hybridreg_ros.model.pose.verify import Verified, propose, verify
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hybridreg_ros.model.network import HybridRegNet
+    from hybridreg_ros.model.network.network import HybridRegNet
 
     F32 = NDArray[np.float32]
     F64 = NDArray[np.float64]

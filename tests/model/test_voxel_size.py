@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from hybridreg_ros.model.voxel_size import budget_voxel_size_m
+from hybridreg_ros.model.geometry.voxel_size import budget_voxel_size_m
 
 
 def occupied(points, cell_m):

@@ -10,9 +10,9 @@ from test_rings import TRUNKS, ring_scan
 from tiny_world import Box, cast, lidar_rays, pose
 
 from hybridreg_ros.core.scan import Scan
-from hybridreg_ros.odometry.backdrop import lies_on_backdrop, lies_on_plane
+from hybridreg_ros.odometry.dynamics.background import lies_on_backdrop, lies_on_plane
 from hybridreg_ros.odometry.frontend import HybridOdometry
-from hybridreg_ros.odometry.localmap import VoxelLevel
+from hybridreg_ros.odometry.map.local_map import VoxelLevel
 
 SENSOR = np.array([0.0, 0.0, 1.5])
 SLACK_M = 0.08

@@ -12,16 +12,24 @@ import pytest
 from tiny_world import Box, lidar_rays, pose, scans
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.odometry import calibration
-from hybridreg_ros.odometry.claim import Claim, log_odds, rival, surprise
-from hybridreg_ros.odometry.confidence import Evidence, Verdict, of_evidence
 from hybridreg_ros.odometry.config import OdometryConfig
-from hybridreg_ros.odometry.fallback import Fallback
 from hybridreg_ros.odometry.frontend import HybridOdometry
-from hybridreg_ros.odometry.located import Candidate, against_motion, is_worth_it, rank
-from hybridreg_ros.odometry.motion import Expected, Motion
-from hybridreg_ros.odometry.refine import Fit
+from hybridreg_ros.odometry.motion.prediction import Expected, Motion
+from hybridreg_ros.odometry.registration.alignment import Fit
 from hybridreg_ros.odometry.result import Reason
+from hybridreg_ros.odometry.selection import calibration
+from hybridreg_ros.odometry.selection.candidates import (
+    Candidate,
+    against_motion,
+    is_worth_it,
+    log_odds,
+    rank,
+    rival,
+    surprise,
+)
+from hybridreg_ros.odometry.selection.fallback import Fallback
+from hybridreg_ros.odometry.selection.pose_confidence import Evidence, Verdict, of_evidence
+from hybridreg_ros.odometry.selection.reported_confidence import Claim
 
 PERIOD_M = 1.0
 AT = pose(2.0, -1.0, 30.0)

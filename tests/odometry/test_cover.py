@@ -13,7 +13,7 @@ from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.preprocess import preprocess, recognise_sensor
 from hybridreg_ros.odometry.result import OdometryResult, Reason, Source
-from hybridreg_ros.odometry.visibility import Sightings
+from hybridreg_ros.odometry.visibility.sightings import Sightings
 
 RAYS = depth_rays(160, 120)
 COVERED, BLIND = (6, 7), (8, 9)

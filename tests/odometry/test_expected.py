@@ -10,14 +10,14 @@ from tiny_world import Box, cast, depth_rays, pose
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import NS_PER_S, Scan
-from hybridreg_ros.odometry.confidence import Evidence, weakness
 from hybridreg_ros.odometry.config import GateConfig, OdometryConfig, RefineConfig
-from hybridreg_ros.odometry.localmap import LocalMap
-from hybridreg_ros.odometry.located import Located
-from hybridreg_ros.odometry.motion import Expected, Motion
+from hybridreg_ros.odometry.map.local_map import LocalMap
+from hybridreg_ros.odometry.motion.prediction import Expected, Motion
 from hybridreg_ros.odometry.preprocess import preprocess, recognise_sensor
-from hybridreg_ros.odometry.refine import Fit, believed, refine
+from hybridreg_ros.odometry.registration.alignment import Fit, believed, refine
 from hybridreg_ros.odometry.result import Reason, Source
+from hybridreg_ros.odometry.selection.candidates import Located
+from hybridreg_ros.odometry.selection.pose_confidence import Evidence, weakness
 
 FRAME = NS_PER_S // 10
 WALL = (Box((2.0, -30.0, -30.0), (3.0, 30.0, 30.0)),)

@@ -14,7 +14,7 @@ from tiny_world import lidar_rays, pose, scans, walk
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import ConfigError
 from hybridreg_ros.core.scan import Scan
-from hybridreg_ros.odometry import learned
+from hybridreg_ros.odometry import network_branch
 from hybridreg_ros.odometry.config import (
     FallbackConfig,
     GateConfig,
@@ -24,7 +24,7 @@ from hybridreg_ros.odometry.config import (
 )
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.keyframes import Keyframe
-from hybridreg_ros.odometry.learned import LearnedBranch
+from hybridreg_ros.odometry.network_branch import LearnedBranch
 from hybridreg_ros.odometry.result import OdometryResult, Reason, Source
 
 RAYS = lidar_rays()
@@ -101,7 +101,7 @@ def test_the_heap_is_given_back_after_a_scan_that_asked_the_network(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     given: list[int] = []
-    monkeypatch.setattr(learned, 'give_back', lambda: given.append(1))
+    monkeypatch.setattr(network_branch, 'give_back', lambda: given.append(1))
     clouds = [scan.points for scan in scans(walk(3), RAYS)]
     branch = LearnedBranch(NeighbourhoodRegistrar(), 2)
     branch.begin(clouds[0])

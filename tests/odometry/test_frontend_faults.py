@@ -14,12 +14,12 @@ from tiny_world import ROOM, depth_rays, lidar_rays, pose, scans, walk
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import NS_PER_S, Scan
 from hybridreg_ros.odometry.config import LostConfig, OdometryConfig
-from hybridreg_ros.odometry.fallback import Fallback
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.result import LOST_VARIANCE, OdometryResult, Reason, Source
+from hybridreg_ros.odometry.selection.fallback import Fallback
 
 if TYPE_CHECKING:
-    from hybridreg_ros.odometry.refine import Fit
+    from hybridreg_ros.odometry.registration.alignment import Fit
 
 RAYS = lidar_rays()
 

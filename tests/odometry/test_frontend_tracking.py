@@ -14,7 +14,7 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.frontend import HybridOdometry
-from hybridreg_ros.odometry.kiss import KissRegistration
+from hybridreg_ros.odometry.registration.kiss import KissRegistration
 from hybridreg_ros.odometry.result import OdometryResult, Reason, Source
 
 

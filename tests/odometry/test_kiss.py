@@ -10,7 +10,7 @@ from tiny_world import ROOM, cast, lidar_rays, walk
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import RegistrationError
-from hybridreg_ros.odometry.kiss import KissRegistration, PlainKissIcp
+from hybridreg_ros.odometry.registration.kiss import KissRegistration, PlainKissIcp
 
 POSES = walk(3)
 CLOUDS = [cast(ROOM, T, lidar_rays(), seed=k)[0] for k, T in enumerate(POSES)]

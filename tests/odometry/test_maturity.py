@@ -11,10 +11,10 @@ import pytest
 
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.config import OdometryConfig
-from hybridreg_ros.odometry.localmap import LocalMap
-from hybridreg_ros.odometry.maturity import by_age
-from hybridreg_ros.odometry.refine import refine
-from hybridreg_ros.odometry.surfaces import Surfaces
+from hybridreg_ros.odometry.map.local_map import LocalMap
+from hybridreg_ros.odometry.registration.alignment import refine
+from hybridreg_ros.odometry.registration.maturity import by_age
+from hybridreg_ros.odometry.registration.surfaces import Surfaces
 
 CONFIG = OdometryConfig().refine
 VOXEL_M = 0.05

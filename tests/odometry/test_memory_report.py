@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from tiny_world import depth_rays, scans, walk
 
-from hybridreg_ros.replay import suite_data, suite_memory
-from hybridreg_ros.replay.suite_list import SEQUENCES
+from hybridreg_ros.benchmark import suite_data, suite_memory
+from hybridreg_ros.benchmark.suite_list import SEQUENCES
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -7,10 +7,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hybridreg_ros.odometry.align import PLANE
-from hybridreg_ros.odometry.localmap import LocalMap
+from hybridreg_ros.odometry.map.local_map import LocalMap
 from hybridreg_ros.odometry.preprocess import SensorModel, certainty
-from hybridreg_ros.odometry.surfaces import Surfaces
+from hybridreg_ros.odometry.registration.kernels import PLANE
+from hybridreg_ros.odometry.registration.surfaces import Surfaces
 
 SENSOR = SensorModel('depth', 0.08, 0.2, 8.0)
 FAR_M = 5.6

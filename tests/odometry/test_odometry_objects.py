@@ -6,13 +6,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from hybridreg_ros.odometry import objects, segments
 from hybridreg_ros.odometry.config import DynamicsConfig
-from hybridreg_ros.odometry.dynamics import Dynamics
-from hybridreg_ros.odometry.localmap import VoxelLevel
+from hybridreg_ros.odometry.dynamics.classifier import Dynamics, objects, segments
+from hybridreg_ros.odometry.map.local_map import VoxelLevel
+from hybridreg_ros.odometry.map.thinning import first_per_voxel, means_of, occupied, voxel_of
 from hybridreg_ros.odometry.preprocess import SensorModel, certainty
-from hybridreg_ros.odometry.rangeimage import RangeImage, view_of
-from hybridreg_ros.odometry.thinning import first_per_voxel, means_of, occupied, voxel_of
+from hybridreg_ros.odometry.visibility.range_image import RangeImage, view_of
 
 SIZE = 0.1
 FLOOR_M, BOX_M = -1.0, 0.8

@@ -11,8 +11,6 @@ from tiny_world import ROOM, Ball, Box, cast, depth_rays, lidar_rays, pose, walk
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.pages import has_pages
 from hybridreg_ros.core.scan import NS_PER_S, Scan
-from hybridreg_ros.odometry import covariance
-from hybridreg_ros.odometry.confidence import Evidence, Gate, judge, of_evidence, weakness
 from hybridreg_ros.odometry.config import (
     GateConfig,
     InputConfig,
@@ -24,8 +22,9 @@ from hybridreg_ros.odometry.config import (
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.intake import Intake
 from hybridreg_ros.odometry.keyframes import Keyframes
-from hybridreg_ros.odometry.localmap import LocalMap
-from hybridreg_ros.odometry.motion import Motion
+from hybridreg_ros.odometry.map.local_map import LocalMap
+from hybridreg_ros.odometry.map.thinning import first_per_voxel
+from hybridreg_ros.odometry.motion.prediction import Motion, covariance
 from hybridreg_ros.odometry.preprocess import (
     believable,
     deskew,
@@ -33,10 +32,23 @@ from hybridreg_ros.odometry.preprocess import (
     preprocess,
     recognise_sensor,
 )
-from hybridreg_ros.odometry.rangeimage import BEHIND, FRONT, ON, UNSEEN, RangeImage, view_of
-from hybridreg_ros.odometry.refine import assess, refine
+from hybridreg_ros.odometry.registration.alignment import assess, refine
 from hybridreg_ros.odometry.result import LOST_VARIANCE, Reason
-from hybridreg_ros.odometry.thinning import first_per_voxel
+from hybridreg_ros.odometry.selection.pose_confidence import (
+    Evidence,
+    Gate,
+    judge,
+    of_evidence,
+    weakness,
+)
+from hybridreg_ros.odometry.visibility.range_image import (
+    BEHIND,
+    FRONT,
+    ON,
+    UNSEEN,
+    RangeImage,
+    view_of,
+)
 
 CLOUD = cast(ROOM, pose(-1.0, -0.5, 0.0), lidar_rays(360, 40))[0]
 

@@ -14,7 +14,7 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import Scan
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.frontend import HybridOdometry
-from hybridreg_ros.odometry.kiss import PlainKissIcp
+from hybridreg_ros.odometry.registration.kiss import PlainKissIcp
 
 if TYPE_CHECKING:
     from hybridreg_ros.odometry.result import OdometryResult

@@ -9,11 +9,11 @@ import pytest
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import Scan
-from hybridreg_ros.odometry.align import PLANE
 from hybridreg_ros.odometry.frontend import HybridOdometry
-from hybridreg_ros.odometry.localmap import LocalMap, VoxelLevel
-from hybridreg_ros.odometry.planes import buffer, fit_around
-from hybridreg_ros.odometry.surfaces import Surfaces
+from hybridreg_ros.odometry.map.local_map import LocalMap, VoxelLevel
+from hybridreg_ros.odometry.map.planes import buffer, fit_around
+from hybridreg_ros.odometry.registration.kernels import PLANE
+from hybridreg_ros.odometry.registration.surfaces import Surfaces
 
 HEIGHT_M = 1.2
 RINGS_M = np.arange(-1.0, 4.0, 0.7)

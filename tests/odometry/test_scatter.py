@@ -7,10 +7,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hybridreg_ros.odometry import align
-from hybridreg_ros.odometry.claim import disagreement
-from hybridreg_ros.odometry.scatter import scatter
-from hybridreg_ros.odometry.surfaces import Surfaces
+from hybridreg_ros.odometry.registration import kernels
+from hybridreg_ros.odometry.registration.cluster_covariance import scatter
+from hybridreg_ros.odometry.registration.surfaces import Surfaces
+from hybridreg_ros.odometry.selection.reported_confidence import disagreement
 
 SIZE_M = 0.1
 SPREAD_M = 0.01
@@ -30,12 +30,12 @@ def _scene(errors: np.ndarray, seed: int = 0) -> tuple:
             offs.append(np.full(8, error[axis]))
     points, normals = np.concatenate(points), np.concatenate(normals)
     surfaces = Surfaces(len(points))
-    surfaces.kind[:] = align.PLANE
+    surfaces.kind[:] = kernels.PLANE
     surfaces.normal[:] = normals
     surfaces.anchor[:] = points - np.concatenate(offs)[:, None] * normals
     scales = np.full(len(points), SPREAD_M)
     ones = np.ones(len(points))
-    H, _, _ = align.normal_equations(
+    H, _, _ = kernels.normal_equations(
         points, ones, np.eye(3), np.zeros(3), surfaces.kind, surfaces.anchor, surfaces.normal,
         surfaces.variance, scales, 1.0,
     )  # fmt: skip
@@ -49,7 +49,7 @@ def test_it_is_the_spread_of_poses_over_many_draws_of_the_parts() -> None:
         scene = _scene(rng.normal(0.0, spread, (parts, 3)))
         told.append(scatter(*scene))
         points, ones, T, surfaces, scales, H, _ = scene
-        _, b, _ = align.normal_equations(
+        _, b, _ = kernels.normal_equations(
             points, ones, T[:3, :3].copy(), T[:3, 3].copy(), surfaces.kind, surfaces.anchor,
             surfaces.normal, surfaces.variance, scales, 1.0,
         )  # fmt: skip

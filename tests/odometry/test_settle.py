@@ -13,14 +13,14 @@ from tiny_world import ROOM, cast, depth_rays, pose
 
 from hybridreg_ros.core.scan import Scan
 from hybridreg_ros.odometry.config import OdometryConfig
-from hybridreg_ros.odometry.localmap import LocalMap
-from hybridreg_ros.odometry.motion import Expected
+from hybridreg_ros.odometry.map.local_map import LocalMap
+from hybridreg_ros.odometry.motion.prediction import Expected
 from hybridreg_ros.odometry.preprocess import preprocess, recognise_sensor
-from hybridreg_ros.odometry.refine import refine
-from hybridreg_ros.odometry.settle import settle
+from hybridreg_ros.odometry.registration.alignment import refine
+from hybridreg_ros.odometry.registration.settle import settle
 
 if TYPE_CHECKING:
-    from hybridreg_ros.odometry.cloud import Cloud
+    from hybridreg_ros.odometry.preprocessed import Cloud
 
 
 def test_more_points_of_finer_cubes_do_not_count_as_so_much_more() -> None:

@@ -13,10 +13,10 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import Scan
 from hybridreg_ros.odometry.config import OdometryConfig, RefineConfig
 from hybridreg_ros.odometry.frontend import HybridOdometry
-from hybridreg_ros.odometry.localmap import LocalMap
-from hybridreg_ros.odometry.refine import refine
+from hybridreg_ros.odometry.map.local_map import LocalMap
+from hybridreg_ros.odometry.motion.intra_scan_motion import Sway
+from hybridreg_ros.odometry.registration.alignment import refine
 from hybridreg_ros.odometry.result import Reason, Source
-from hybridreg_ros.odometry.sway import Sway
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -14,18 +14,17 @@ from tiny_world import ROOM, cast, lidar_rays, pose
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import NS_PER_S, Scan
-from hybridreg_ros.odometry import covariance
 from hybridreg_ros.odometry.config import OdometryConfig, RefineConfig
 from hybridreg_ros.odometry.frontend import HybridOdometry
-from hybridreg_ros.odometry.localmap import LocalMap
-from hybridreg_ros.odometry.motion import Expected
+from hybridreg_ros.odometry.map.local_map import LocalMap
+from hybridreg_ros.odometry.motion.intra_scan_motion import NO_SWAY, Sway
+from hybridreg_ros.odometry.motion.prediction import Expected, Start, covariance
 from hybridreg_ros.odometry.preprocess import preprocess, recognise_sensor
-from hybridreg_ros.odometry.refine import refine
-from hybridreg_ros.odometry.sway import NO_SWAY, Sway
-from hybridreg_ros.odometry.trail import Start, Trail
+from hybridreg_ros.odometry.registration.alignment import refine
+from hybridreg_ros.odometry.registration.scan_continuity import Trail
 
 if TYPE_CHECKING:
-    from hybridreg_ros.odometry.cloud import Cloud
+    from hybridreg_ros.odometry.preprocessed import Cloud
 
 EXPECTED = Expected(HERE, 0.05, 0.02, 0.1)
 TWIST = np.array([2.0, 0.1, 0.0, 0.05, 0.3, -0.2])

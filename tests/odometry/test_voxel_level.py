@@ -7,9 +7,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hybridreg_ros.odometry import voxelmap
-from hybridreg_ros.odometry.localmap import VoxelLevel
-from hybridreg_ros.odometry.voxelmap import MOST_MASS, nearest
+from hybridreg_ros.odometry.map import voxel_map
+from hybridreg_ros.odometry.map.local_map import VoxelLevel
+from hybridreg_ros.odometry.map.voxel_map import MOST_MASS, nearest
 
 SIZE = 0.5
 MOST = 9
@@ -116,8 +116,8 @@ def test_rows_of_what_is_forgotten_are_used_again() -> None:
 def test_points_are_packed_before_more_rows_are_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     """All voxels outgrow their rows together, so those that they leave fit no other one."""
     packs: list[int] = []
-    pack = voxelmap.pack
-    monkeypatch.setattr(voxelmap, 'pack', lambda *args: packs.append(args[2]) or pack(*args))
+    pack = voxel_map.pack
+    monkeypatch.setattr(voxel_map, 'pack', lambda *args: packs.append(args[2]) or pack(*args))
     corners = SIZE * np.stack(np.meshgrid(*[np.arange(12.0)] * 3), -1).reshape(-1, 3)
     places = np.array([(x, y, 0.2) for x in (0.07, 0.24, 0.41) for y in (0.07, 0.24, 0.41)])
     level = VoxelLevel(SIZE, MOST)

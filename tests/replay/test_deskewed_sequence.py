@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from hybridreg_ros.benchmark import suite_data
+from hybridreg_ros.benchmark.suite_list import SEQUENCES
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import FileFormatError
-from hybridreg_ros.replay import suite_data
-from hybridreg_ros.replay.suite_list import SEQUENCES
 
 if TYPE_CHECKING:
     from pathlib import Path

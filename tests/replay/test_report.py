@@ -276,8 +276,8 @@ def test_live_recorder_joins_messages_of_any_order_and_thread(tmp_path: Path) ->
 
 @pytest.mark.parametrize('name', ['kiss-icp', 'genz-icp', 'small-gicp'])
 def test_rival_alone_moves_with_the_sensor(room_bag: Path, name: str) -> None:
+    from hybridreg_ros.benchmark.baseline import Alone
     from hybridreg_ros.replay import runner
-    from hybridreg_ros.replay.baseline import Alone
 
     if name == 'genz-icp':
         pytest.importorskip('genz_icp')
@@ -292,8 +292,8 @@ def test_rival_alone_moves_with_the_sensor(room_bag: Path, name: str) -> None:
 
 
 def test_unknown_rival_is_an_error() -> None:
+    from hybridreg_ros.benchmark.baseline import Alone
     from hybridreg_ros.core.errors import ConfigError
-    from hybridreg_ros.replay.baseline import Alone
 
     with pytest.raises(ConfigError, match='rival: expected kiss-icp, genz-icp or small-gicp'):
         Alone('magic')

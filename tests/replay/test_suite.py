@@ -12,6 +12,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from hybridreg_ros.benchmark import (
+    suite_confidence,
+    suite_data,
+    suite_fit,
+    suite_memory,
+    suite_plots,
+    suite_run,
+    suite_table,
+)
+from hybridreg_ros.benchmark.rivals import GenzIcp, GicpToKeyframe
+from hybridreg_ros.benchmark.suite_data import SuiteFrame
+from hybridreg_ros.benchmark.suite_list import METHODS, SEQUENCES, STRIDES, chosen
 from hybridreg_ros.cli.main import main
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import (
@@ -21,21 +33,9 @@ from hybridreg_ros.core.errors import (
     HybridRegError,
 )
 from hybridreg_ros.core.scan import Scan
-from hybridreg_ros.odometry import calibration
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.frontend import HybridOdometry
-from hybridreg_ros.replay import (
-    suite_claims,
-    suite_data,
-    suite_fit,
-    suite_memory,
-    suite_plots,
-    suite_run,
-    suite_table,
-)
-from hybridreg_ros.replay.rivals import GenzIcp, GicpToKeyframe
-from hybridreg_ros.replay.suite_data import SuiteFrame
-from hybridreg_ros.replay.suite_list import METHODS, SEQUENCES, STRIDES, chosen
+from hybridreg_ros.odometry.selection import calibration
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -278,9 +278,9 @@ def test_predictions_are_off_only_in_jolted_runs(monkeypatch: pytest.MonkeyPatch
 
 
 def test_distinct_leaves_repetitions_out() -> None:
-    from hybridreg_ros.odometry.confidence import Evidence, Verdict
-    from hybridreg_ros.odometry.located import Candidate
-    from hybridreg_ros.odometry.refine import Fit
+    from hybridreg_ros.odometry.registration.alignment import Fit
+    from hybridreg_ros.odometry.selection.candidates import Candidate
+    from hybridreg_ros.odometry.selection.pose_confidence import Evidence, Verdict
 
     def at(x: float) -> Candidate:
         pose = se3.transform(np.eye(3), np.array([x, 0.0, 0.0]))
@@ -355,19 +355,19 @@ def test_a_missing_rival_names_the_extra(rival, module, monkeypatch) -> None:
         rival(0.1, 10.0, 0.1)
 
 
-def _claims(name: str, rng: np.random.Generator, count: int) -> suite_claims.Claims:
+def _claims(name: str, rng: np.random.Generator, count: int) -> suite_confidence.Claims:
     """Claims of poses that are wrong where the evidence is weak or a rival strong."""
     features = rng.uniform(0.0, 1.0, (count, len(calibration.CLAIM)))
     features[:, 0] = rng.uniform(-1.0, 6.0, count)
     score = features[:, 0] - 4.0 * features[:, -1]
     right = rng.uniform(size=count) < 1.0 / (1.0 + np.exp(-score))
-    return suite_claims.Claims(name, features, right)
+    return suite_confidence.Claims(name, features, right)
 
 
 def test_the_confidence_learns_what_speaks_against_a_pose(tmp_path: Path) -> None:
     rng = np.random.default_rng(7)
     parts = [_claims(f'dev-room-{k}', rng, 2000) for k in range(4)]
-    found, quality = suite_claims.fit(parts)
+    found, quality = suite_confidence.fit(parts)
     weights = found.confidence.weights
     assert weights['evident'] == pytest.approx(1.0, abs=0.15)
     assert weights['rival'] == pytest.approx(-4.0, abs=0.5)
@@ -379,19 +379,19 @@ def test_the_confidence_learns_what_speaks_against_a_pose(tmp_path: Path) -> Non
     file = tmp_path / 'calibration.json'
     file.write_text(json.dumps(found.to_dict()))
     assert calibration.read(file).confidence == found.confidence
-    again = suite_claims.Claims.from_dict(json.loads(json.dumps(parts[0].to_dict())))
+    again = suite_confidence.Claims.from_dict(json.loads(json.dumps(parts[0].to_dict())))
     np.testing.assert_array_equal(again.features, parts[0].features)
     right = replace(parts[0], right=np.ones(2000, np.bool_))
     with pytest.raises(HybridRegError, match='nothing to fit: 2000 of 2000'):
-        suite_claims.fit([right])
+        suite_confidence.fit([right])
 
 
 def test_claims_are_gathered_as_they_are_reported(tmp_path: Path) -> None:
     sequence = replace(chosen('dev', ['dev-room-501'])[0], frames=5)
     frames = suite_data.load(sequence, tmp_path, tmp_path)
-    found = suite_claims.gather(sequence, frames, 1, OdometryConfig(), model=None)
+    found = suite_confidence.gather(sequence, frames, 1, OdometryConfig(), model=None)
     assert found.features.shape == (4, len(calibration.CLAIM))
     assert found.right.all()
     few = Scan(frames[2].scan.points[:20], stamp=frames[2].scan.stamp, frame_id='sensor')
     covered = [*frames[:2], replace(frames[2], scan=few), *frames[3:]]
-    assert len(suite_claims.gather(sequence, covered, 1, OdometryConfig(), None).right) == 3
+    assert len(suite_confidence.gather(sequence, covered, 1, OdometryConfig(), None).right) == 3

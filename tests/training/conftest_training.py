@@ -11,11 +11,11 @@ import pytest
 import torch
 
 from hybridreg_ros.core import se3
+from hybridreg_ros.data.hybridmatch.shards import encode_pair, write_shard
 from hybridreg_ros.data.pair import Label, PointPair
-from hybridreg_ros.data.shards import encode_pair, write_shard
 from hybridreg_ros.model.checkpoint import save_network
 from hybridreg_ros.model.config import ModelConfig
-from hybridreg_ros.model.network import HybridRegNet
+from hybridreg_ros.model.network.network import HybridRegNet
 from hybridreg_ros.training.config import AugmentConfig, LossConfig, TrainConfig
 
 TINY = ModelConfig(

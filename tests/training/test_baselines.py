@@ -15,7 +15,7 @@ import pytest
 
 from hybridreg_ros.core.errors import ConfigError, DependencyError, FileFormatError
 from hybridreg_ros.core.se3 import apply, exp, inverse
-from hybridreg_ros.data.loaders import recorded_pair
+from hybridreg_ros.data.loaders.posed_frames import recorded_pair
 from hybridreg_ros.metrics.registration import rotation_error_deg, wilson_interval
 from hybridreg_ros.training.baselines import METHODS
 from hybridreg_ros.training.evaluate import evaluate_method

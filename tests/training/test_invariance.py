@@ -11,7 +11,7 @@ import pytest
 
 from hybridreg_ros import HybridReg
 from hybridreg_ros.core import se3
-from hybridreg_ros.data.hybridmatch import make_pairs
+from hybridreg_ros.data.hybridmatch.room_pairs import make_pairs
 from hybridreg_ros.metrics import registration
 from hybridreg_ros.training.validation import overlap_points, threshold_m
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from hybridreg_ros.data.hybridmatch import make_pair
+from hybridreg_ros.data.hybridmatch.room_pairs import make_pair
 from hybridreg_ros.model.config import ModelConfig
-from hybridreg_ros.model.network import HybridRegNet
+from hybridreg_ros.model.network.network import HybridRegNet
 from hybridreg_ros.model.register import HybridReg
 from hybridreg_ros.training import optim
 from hybridreg_ros.training.config import LossConfig, TrainConfig

@@ -15,7 +15,7 @@ from conftest_training import TINY, make_pair
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import ConfigError, FileFormatError
-from hybridreg_ros.data.shards import encode_pair, write_shard
+from hybridreg_ros.data.hybridmatch.shards import encode_pair, write_shard
 from hybridreg_ros.training import sources
 from hybridreg_ros.training.config import LossConfig
 from hybridreg_ros.training.samples import SampleStream, loader, patches_of, prepare, to_device

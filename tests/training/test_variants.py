@@ -12,7 +12,7 @@ import pytest
 from hybridreg_ros.core.errors import ConfigError
 from hybridreg_ros.model.checkpoint import save_network
 from hybridreg_ros.model.config import ModelConfig
-from hybridreg_ros.model.network import HybridRegNet
+from hybridreg_ros.model.network.network import HybridRegNet
 from hybridreg_ros.training.variants import VARIANTS, load_variant
 
 if TYPE_CHECKING:

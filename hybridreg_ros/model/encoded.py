@@ -1,0 +1,34 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""EncodedCloud: what registration keeps of one cloud."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hybridreg_ros.model.geometry.views import View
+    from hybridreg_ros.model.network.network import Encoding
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedCloud:
+    """A cloud that is ready to be matched with others; keep it with a keyframe.
+
+    Attributes:
+        encoding: what the network keeps of it.
+        view: what verification and refinement keep of it.
+        size: number of input points, NaN rows included.
+        encode_s: seconds it took.
+    """
+
+    encoding: Encoding
+    view: View
+    size: int
+    encode_s: float
+
+    @property
+    def voxel_size_m(self) -> float:
+        """Metres per finest voxel."""
+        return self.encoding.pyramid.voxel_size_m

@@ -1,0 +1,201 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""KPConv's influence weights as a sparse matrix that every layer of a level shares.
+
+A kernel point reaches only the neighbours near it, about a third of all weights are not zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from hybridreg_ros.model.geometry.ops import compiled
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Tensor = torch.Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class KernelOperator:
+    """Sparse (M * K, N) matrix, entry by entry: row m * K + k gathers kernel point k of point m.
+
+    A row has three entries on average. One loop over all entries is 1.4 to 1.7 times as fast as
+    a loop over rows with one over the entries of each.
+
+    Attributes:
+        rows: (E,) int32 row of every entry, ascending.
+        columns: (E,) int32 input point of every entry.
+        weights: (E,) float32 influence / number of neighbours of m.
+        kernel_points: K.
+        outputs: M.
+        inputs: N.
+    """
+
+    rows: Tensor
+    columns: Tensor
+    weights: Tensor
+    kernel_points: int
+    outputs: int
+    inputs: int
+
+
+def kernel_points(count: int, radius: float) -> NDArray[np.float32]:
+    """(count, 3) kernel points: the centre, and a Fibonacci sphere of the given radius."""
+    outer = count - 1
+    i = np.arange(outer) + 0.5
+    z = 1.0 - 2.0 * i / outer
+    ring = np.sqrt(1.0 - z * z)
+    turn = np.pi * (1.0 + 5.0**0.5) * i
+    sphere = np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1) * radius
+    return np.concatenate([np.zeros((1, 3)), sphere]).astype(np.float32)
+
+
+@compiled
+def _influences(
+    queries: NDArray[np.float32],
+    support: NDArray[np.float32],
+    neighbours: NDArray[np.int32],
+    kernel: NDArray[np.float32],
+    extent: float,
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
+    """Linear influence of every (kernel point, neighbour), the zero ones left out."""
+    m, h = neighbours.shape
+    k, n = kernel.shape[0], support.shape[0]
+    rows = np.empty(m * h * k + 1, np.int32)
+    columns = np.empty(m * h * k + 1, np.int32)
+    weights = np.empty(m * h * k + 1, np.float32)
+    local = np.empty((k, h), np.float32)
+    kx, ky, kz = kernel[:, 0].copy(), kernel[:, 1].copy(), kernel[:, 2].copy()
+    x, y, z = np.empty(h, np.float32), np.empty(h, np.float32), np.empty(h, np.float32)
+    inverse = np.float32(1.0 / extent)
+    entries = 0
+    for q in range(m):
+        count = 0
+        while count < h and neighbours[q, count] < n:
+            j = neighbours[q, count]
+            x[count] = support[j, 0] - queries[q, 0]
+            y[count] = support[j, 1] - queries[q, 1]
+            z[count] = support[j, 2] - queries[q, 2]
+            count += 1
+        share = np.float32(1.0) / np.float32(max(count, 1))
+        for p in range(k):
+            for i in range(count):
+                dx, dy, dz = x[i] - kx[p], y[i] - ky[p], z[i] - kz[p]
+                d = np.sqrt(dx * dx + dy * dy + dz * dz)
+                local[p, i] = share * (np.float32(1.0) - d * inverse)
+        for p in range(k):
+            for i in range(count):  # written always, kept only where positive: no branch to guess
+                rows[entries] = q * k + p
+                columns[entries] = neighbours[q, i]
+                weights[entries] = local[p, i]
+                entries += 1 if local[p, i] > 0.0 else 0
+    return rows[:entries].copy(), columns[:entries].copy(), weights[:entries].copy()
+
+
+def kernel_operator(
+    queries: NDArray[np.float32],
+    support: NDArray[np.float32],
+    neighbours: NDArray[np.int32],
+    kernel: NDArray[np.float32],
+    extent: float,
+) -> KernelOperator:
+    """Influence weights of one level.
+
+    Args:
+        queries: (M, 3) float32 output points.
+        support: (N, 3) float32 input points, same unit.
+        neighbours: (M, H) int32 inputs near each output, padded with N.
+        kernel: (K, 3) float32 kernel points, same unit.
+        extent: distance at which the influence of a kernel point ends, same unit.
+    """
+    rows, columns, weights = _influences(queries, support, neighbours, kernel, extent)
+    return KernelOperator(
+        torch.from_numpy(rows),
+        torch.from_numpy(columns),
+        torch.from_numpy(weights),
+        len(kernel),
+        len(queries),
+        len(support),
+    )
+
+
+@compiled
+def _weighted_rows(
+    x: NDArray[np.float32],
+    read: NDArray[np.int32],
+    write: NDArray[np.int32],
+    weights: NDArray[np.float32],
+    count: int,
+) -> NDArray[np.float32]:
+    """Rows `read` of x (·, C) times the weights, added up in rows `write` of (count, C)."""
+    channels = x.shape[1]
+    out = np.zeros((count, channels), np.float32)
+    for e in range(weights.shape[0]):
+        w, i, o = weights[e], read[e], write[e]
+        for c in range(channels):
+            out[o, c] += w * x[i, c]
+    return out
+
+
+class _Aggregate(torch.autograd.Function):
+    """Sparse product on the CPU: compiled gather forward, compiled scatter backward."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, operator: KernelOperator) -> Tensor:
+        ctx.operator = operator
+        rows, columns, weights = _arrays(operator)
+        count = operator.outputs * operator.kernel_points
+        values = x.detach().contiguous().numpy()
+        return torch.from_numpy(_weighted_rows(values, columns, rows, weights, count))
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, None]:
+        if not ctx.needs_input_grad[0]:
+            return None, None
+        rows, columns, weights = _arrays(ctx.operator)
+        g = grads[0].contiguous().numpy()
+        return torch.from_numpy(
+            _weighted_rows(g, rows, columns, weights, ctx.operator.inputs)
+        ), None
+
+
+def _arrays(
+    operator: KernelOperator,
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
+    return operator.rows.numpy(), operator.columns.numpy(), operator.weights.numpy()
+
+
+def aggregate(x: Tensor, operator: KernelOperator) -> Tensor:
+    """Features gathered by every kernel point.
+
+    Args:
+        x: (N, C) float32 input features.
+        operator: influence weights from N inputs to M outputs.
+
+    Returns:
+        (M, K * C) float32, ready for one matrix product with the (K * C, C_out) weights.
+    """
+    if x.device.type == 'cpu':
+        gathered = _Aggregate.apply(x, operator)  # type: ignore[no-untyped-call]
+    else:
+        matrix = torch.sparse_coo_tensor(
+            torch.stack([operator.rows, operator.columns]),
+            operator.weights,
+            (operator.outputs * operator.kernel_points, operator.inputs),
+            is_coalesced=True,
+        )
+        gathered = matrix @ x
+    return gathered.view(operator.outputs, -1)  # type: ignore[no-any-return]
+
+
+def influence_sums(operator: KernelOperator) -> Tensor:
+    """What `aggregate` makes of ones: (M, K) float32, sum of the influences of every row."""
+    count = operator.outputs * operator.kernel_points
+    sums = torch.zeros(count, dtype=torch.float32, device=operator.weights.device)
+    return sums.index_add_(0, operator.rows, operator.weights).view(operator.outputs, -1)

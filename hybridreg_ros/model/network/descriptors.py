@@ -1,0 +1,110 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Matches of fine points over the whole clouds: the pairs most likely by both clouds' features."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch.nn import functional
+
+from hybridreg_ros.model.geometry.ops import compiled
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Tensor = torch.Tensor
+    F32 = NDArray[np.float32]
+
+MAX_POINTS = 3000
+"""Fine points of a cloud that are compared; of more, evenly spread ones are taken."""
+
+MATCH_TEMPERATURE = 0.05
+"""Of the softmaxes over cosine similarities by which pairs are ranked."""
+
+
+def evenly_spread(count: int, most: int) -> Tensor:
+    """At most `most` of the numbers 0 to count - 1, evenly spread, ascending (int64)."""
+    if count <= most:
+        return torch.arange(count)
+    return torch.linspace(0, count - 1, most).round().long()
+
+
+def likely_pairs(
+    x: Tensor, y: Tensor, count: int, temperature: float, most: int = MAX_POINTS
+) -> tuple[Tensor, Tensor]:
+    """The most likely pairs of points.
+
+    The likelihood of a pair is the share that its similarity has among all partners of the one
+    point, times that among all partners of the other (dual softmax; Rocco et al. 2018). A point
+    may occur in several pairs. Of pairs that are each other's most similar ones there are fewer,
+    and in scenes with little overlap two thirds of the right pairs are not among them.
+
+    Args:
+        x: (F, C) features of the source's fine points.
+        y: (G, C) features of the target's.
+        count: pairs wanted.
+        temperature: of both softmaxes over cosine similarities.
+        most: points of a cloud that are compared.
+
+    Returns:
+        (P, 2) int64 rows of x and y, and (P,) likelihoods, largest first (ties: first row, then
+        first column); P is `count`, or the number of all pairs if that is smaller.
+    """
+    rows_x, rows_y = evenly_spread(len(x), most), evenly_spread(len(y), most)
+    u = functional.normalize(x[rows_x.to(x.device)], dim=1) / temperature
+    v = functional.normalize(y[rows_y.to(y.device)], dim=1)
+    e = (u @ v.T).sub_(1.0 / temperature).exp_().detach().cpu()
+    shares = (1.0 / e.sum(dim=1)).numpy(), (1.0 / e.sum(dim=0)).numpy()
+    i, j, w = _largest(e.numpy(), *shares, count)
+    index = torch.stack([rows_x[torch.from_numpy(i)], rows_y[torch.from_numpy(j)]], dim=1)
+    return index, torch.from_numpy(w)
+
+
+def _largest(
+    e: F32, rows: F32, columns: F32, count: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], F32]:
+    """Rows, columns and values of the `count` largest of e^2 rows_i columns_j, largest first."""
+    top = _row_tops(e, rows, columns)
+    floor = np.float32(-1.0)
+    if count < len(top):  # as many rows have an entry of that size, so there are enough entries
+        floor = np.partition(top, len(top) - count)[len(top) - count]
+    i, j, w = _at_least(e, rows, columns, top, floor)
+    kept = np.argsort(-w, kind='stable')[:count]
+    return i[kept], j[kept], w[kept]
+
+
+@compiled
+def _row_tops(e: F32, rows: F32, columns: F32) -> F32:
+    """Largest of e^2 rows_i columns_j in every row (R,), in sixteen lanes of a vector."""
+    out = np.empty(e.shape[0], np.float32)
+    lanes = e.shape[1] - e.shape[1] % 16
+    for r in range(e.shape[0]):
+        top = np.zeros(16, np.float32)
+        for c in range(0, lanes, 16):
+            for k in range(16):
+                top[k] = max(top[k], e[r, c + k] * e[r, c + k] * columns[c + k])
+        for c in range(lanes, e.shape[1]):
+            top[0] = max(top[0], e[r, c] * e[r, c] * columns[c])
+        out[r] = top.max() * rows[r]
+    return out
+
+
+@compiled
+def _at_least(
+    e: F32, rows: F32, columns: F32, top: F32, floor: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], F32]:
+    """Rows, columns and values of the entries that are not below `floor`, row by row."""
+    i, j, w = [], [], []
+    for r in range(e.shape[0]):
+        if top[r] < floor:
+            continue
+        for c in range(e.shape[1]):
+            value = e[r, c] * e[r, c] * columns[c] * rows[r]
+            if value >= floor:
+                i.append(r)
+                j.append(c)
+                w.append(value)
+    return np.array(i, np.int64), np.array(j, np.int64), np.array(w, np.float32)

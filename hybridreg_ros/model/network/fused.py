@@ -1,0 +1,257 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Differentiable operations compiled for the CPU, each with a plain torch twin for other devices.
+
+They walk through memory once, where the torch version makes several temporary tensors.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from torch.nn import functional
+
+from hybridreg_ros.model.geometry.ops import compiled
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Tensor = torch.Tensor
+    F32 = NDArray[np.float32]
+
+_EPSILON = 1e-5
+_BLOCK = 64
+
+
+@compiled
+def _norm_forward(x: F32, gain: F32, bias: F32, groups: int, slope: float) -> tuple[F32, F32, F32]:
+    n, channels = x.shape
+    width = channels // groups
+    total, square = np.zeros(channels), np.zeros(channels)
+    for first in range(0, n, _BLOCK):  # short float32 sums, gathered in float64
+        a, b = np.zeros(channels, np.float32), np.zeros(channels, np.float32)
+        for i in range(first, min(first + _BLOCK, n)):
+            for c in range(channels):
+                v = x[i, c]
+                a[c] += v
+                b[c] += v * v
+        total += a
+        square += b
+    mean, rstd = np.empty(groups, np.float32), np.empty(groups, np.float32)
+    scale, shift = np.empty(channels, np.float32), np.empty(channels, np.float32)
+    for g in range(groups):
+        low, high = g * width, (g + 1) * width
+        m = total[low:high].sum() / (n * width)
+        variance = max(square[low:high].sum() / (n * width) - m * m, 0.0)
+        mean[g], rstd[g] = m, 1.0 / np.sqrt(variance + _EPSILON)
+        for c in range(low, high):
+            scale[c] = gain[c] * rstd[g]
+            shift[c] = bias[c] - mean[g] * scale[c]
+    y = np.empty((n, channels), np.float32)
+    k = np.float32(slope)
+    for i in range(n):
+        for c in range(channels):
+            z = x[i, c] * scale[c] + shift[c]
+            y[i, c] = max(z, np.float32(0.0)) + k * min(z, np.float32(0.0))
+    return y, mean, rstd
+
+
+@compiled
+def _norm_backward(
+    g: F32, x: F32, y: F32, gain: F32, mean: F32, rstd: F32, slope: float
+) -> tuple[F32, F32, F32]:
+    n, channels = x.shape
+    groups = mean.shape[0]
+    width = channels // groups
+    d_gain, d_bias = np.zeros(channels, np.float32), np.zeros(channels, np.float32)
+    centre, rate = np.empty(channels, np.float32), np.empty(channels, np.float32)
+    for c in range(channels):
+        centre[c], rate[c] = mean[c // width], rstd[c // width]
+    k, one = np.float32(slope), np.float32(1.0)
+    for i in range(n):
+        for c in range(channels):
+            d = g[i, c] * (one if y[i, c] > 0.0 else k)
+            d_bias[c] += d
+            d_gain[c] += d * (x[i, c] - centre[c]) * rate[c]
+    first, second = np.empty(channels, np.float32), np.empty(channels, np.float32)
+    for q in range(groups):
+        a, b = q * width, (q + 1) * width
+        first[a:b] = (d_bias[a:b] * gain[a:b]).sum() / (n * width)
+        second[a:b] = (d_gain[a:b] * gain[a:b]).sum() / (n * width)
+    dx = np.empty((n, channels), np.float32)
+    for i in range(n):
+        for c in range(channels):
+            d = g[i, c] * (one if y[i, c] > 0.0 else k) * gain[c]
+            hat = (x[i, c] - centre[c]) * rate[c]
+            dx[i, c] = rate[c] * (d - first[c] - hat * second[c])
+    return dx, d_gain, d_bias
+
+
+class _Norm(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, x: Tensor, gain: Tensor, bias: Tensor, groups: int, slope: float
+    ) -> Tensor:
+        x = x.contiguous()
+        y, mean, rstd = _norm_forward(
+            x.detach().numpy(), gain.detach().numpy(), bias.detach().numpy(), groups, slope
+        )
+        out = torch.from_numpy(y)
+        ctx.save_for_backward(x, out, gain)
+        ctx.statistics = mean, rstd, slope
+        return out
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+        x, y, gain = (t.detach().numpy() for t in ctx.saved_tensors)
+        mean, rstd, slope = ctx.statistics
+        parts = _norm_backward(grads[0].contiguous().numpy(), x, y, gain, mean, rstd, slope)
+        return (*(torch.from_numpy(p) for p in parts), None, None)
+
+
+def group_norm_act(x: Tensor, gain: Tensor, bias: Tensor, groups: int, slope: float) -> Tensor:
+    """Group normalisation over the points of one cloud, then leaky ReLU.
+
+    Args:
+        x: (N, C).
+        gain: (C,).
+        bias: (C,).
+        groups: groups of channels that share mean and variance.
+        slope: of the negative side; 1 leaves the values as they are.
+    """
+    if x.device.type == 'cpu':
+        return _Norm.apply(x, gain, bias, groups, slope)  # type: ignore[no-any-return,no-untyped-call]
+    y = functional.group_norm(x.t().unsqueeze(0), groups, gain, bias, _EPSILON)
+    return functional.leaky_relu(y.squeeze(0).t(), slope)
+
+
+@compiled
+def _max_forward(x: F32, near: NDArray[np.int32]) -> tuple[F32, NDArray[np.int32]]:
+    n, channels = x.shape
+    out = np.zeros((near.shape[0], channels), np.float32)
+    arg = np.full((near.shape[0], channels), -1, np.int32)
+    for m in range(near.shape[0]):
+        for h in range(near.shape[1]):
+            j = near[m, h]
+            if j >= n:
+                break
+            for c in range(channels):
+                if h == 0 or x[j, c] > out[m, c]:
+                    out[m, c] = x[j, c]
+                    arg[m, c] = j
+    return out, arg
+
+
+@compiled
+def _max_backward(g: F32, arg: NDArray[np.int32], n: int) -> F32:
+    out = np.zeros((n, g.shape[1]), np.float32)
+    for m in range(g.shape[0]):
+        for c in range(g.shape[1]):
+            if arg[m, c] >= 0:
+                out[arg[m, c], c] += g[m, c]
+    return out
+
+
+class _NeighbourMax(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, near: Tensor) -> Tensor:
+        out, arg = _max_forward(x.detach().contiguous().numpy(), near.numpy())
+        ctx.arg, ctx.inputs = arg, x.shape[0]
+        return torch.from_numpy(out)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
+        g = grads[0].contiguous().numpy()
+        return torch.from_numpy(_max_backward(g, ctx.arg, ctx.inputs)), None
+
+
+def neighbour_max(x: Tensor, near: Tensor) -> Tensor:
+    """Largest feature among the neighbours of each output point.
+
+    Args:
+        x: (N, C) features.
+        near: (M, H) int32 neighbours, padded with N; a row of padding gives zeros.
+
+    Returns:
+        (M, C).
+    """
+    if x.device.type == 'cpu':
+        return _NeighbourMax.apply(x, near)  # type: ignore[no-any-return,no-untyped-call]
+    padded = torch.cat([x, x.new_full((1, x.shape[1]), -torch.inf)])
+    best = padded[near.long()].amax(dim=1)
+    return torch.where(torch.isinf(best), torch.zeros_like(best), best)
+
+
+@compiled
+def _lookup_forward(table: F32, bins: NDArray[np.int16], angles: bool) -> F32:
+    heads, s, _ = table.shape
+    count = bins.shape[2]
+    out = np.empty((heads, s, bins.shape[1]), np.float32)
+    share = np.float32(1.0 / max(count - 1, 1))
+    for n in range(s):
+        for h in range(heads):
+            row = table[h, n]
+            for m in range(bins.shape[1]):
+                v = row[np.uint64(bins[n, m, 0])]
+                if angles:
+                    a = np.float32(0.0)
+                    for k in range(1, count):
+                        a += row[np.uint64(bins[n, m, k])]
+                    v += a * share
+                out[h, n, m] = v
+    return out
+
+
+@compiled
+def _lookup_backward(g: F32, bins: NDArray[np.int16], rows: int, angles: bool) -> F32:
+    heads, s, others = g.shape
+    count = bins.shape[2]
+    out = np.zeros((heads, s, rows), np.float32)
+    share = np.float32(1.0 / max(count - 1, 1))
+    for n in range(s):
+        for h in range(heads):
+            for m in range(others):
+                out[h, n, bins[n, m, 0]] += g[h, n, m]
+                if angles:
+                    a = g[h, n, m] * share
+                    for k in range(1, count):
+                        out[h, n, bins[n, m, k]] += a
+    return out
+
+
+class _Lookup(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, table: Tensor, bins: Tensor, angles: bool) -> Tensor:
+        ctx.bins, ctx.rows, ctx.angles = bins, table.shape[2], angles
+        return torch.from_numpy(
+            _lookup_forward(table.detach().contiguous().numpy(), bins.numpy(), angles)
+        )
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None]:
+        g = grads[0].contiguous().numpy()
+        out = _lookup_backward(g, ctx.bins.numpy(), ctx.rows, ctx.angles)
+        return torch.from_numpy(out), None, None
+
+
+def lookup_scores(table: Tensor, bins: Tensor) -> Tensor:
+    """Geometric attention scores from per-query tables: distance term plus mean angle term.
+
+    Args:
+        table: (H, S, B) score of head h, query n with table row b.
+        bins: (S, S, 1 + A) int16 rows for every pair: one distance, A angles.
+
+    Returns:
+        (H, S, S).
+    """
+    if table.device.type == 'cpu':
+        return _Lookup.apply(table, bins, bins.shape[2] > 1)  # type: ignore[no-any-return,no-untyped-call]
+    heads, s, _ = table.shape
+    rows = bins.long().reshape(1, s, -1).expand(heads, s, -1)
+    values = table.gather(2, rows).view(heads, s, bins.shape[1], bins.shape[2])
+    scores = values[..., 0]
+    if bins.shape[2] > 1:
+        scores = scores + values[..., 1:].mean(dim=3)
+    return scores

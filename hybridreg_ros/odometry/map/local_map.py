@@ -1,0 +1,242 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""LocalMap: the one voxel map that both branches read and write, fed with static points only."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hybridreg_ros.core.pages import zeros
+from hybridreg_ros.core.scan import NS_PER_S
+from hybridreg_ros.odometry.map import pointrows, voxel_map
+from hybridreg_ros.odometry.map.voxel_map import Grid
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_START_VOXELS = 1 << 13
+_START_POINTS = 1 << 15
+
+
+class VoxelLevel:
+    """Points hashed into cubes, at most a few per cube, never two nearer than a spacing.
+
+    Attributes:
+        size_m: edge of a cube.
+        used: cubes in use.
+        grid: the arrays, as the kernels take them.
+    """
+
+    def __init__(self, size_m: float, points_per_voxel: int, by_mass: bool = False) -> None:
+        self.size_m = size_m
+        self._by_mass = by_mass
+        self._per_voxel = points_per_voxel
+        self._spacing_sq = size_m**2 / points_per_voxel
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self.used = 0
+        self.grid = Grid(
+            size=self.size_m,
+            most=self._per_voxel,
+            **_no_voxels(_START_VOXELS),
+            free=pointrows.none_taken(self._per_voxel),
+            **_no_points(_START_POINTS),
+            by_mass=self._by_mass,
+        )
+
+    def add(
+        self,
+        points: NDArray[np.floating],
+        weights: NDArray[np.floating],
+        origin: NDArray[np.float64],
+        now_s: float,
+    ) -> None:
+        """Add points (N, 3), map frame, metres, with weights (N,), seen from a place (3,), now."""
+        row = 0
+        while row < len(points):
+            self.used, done = voxel_map.insert(
+                points[row:], weights[row:], origin, now_s, self._spacing_sq, self.grid, self.used
+            )
+            row += done
+            if row < len(points):
+                self._grow()
+
+    def keep_near(self, centre: NDArray[np.float64], reach_m: float) -> None:
+        """Drop cubes farther from the centre (3,) than the reach, and empty ones."""
+        self.used = voxel_map.keep_near(centre, reach_m**2, self.grid, self.used)
+
+    def erase_near(self, points: NDArray[np.floating], reach_m: float) -> int:
+        """Remove stored points that share a cube with a point (N, 3) and lie within the reach."""
+        removed: int = voxel_map.erase_near(points, reach_m**2, self.grid)
+        return removed
+
+    def distance(self, points: NDArray[np.floating], T: NDArray[np.float64]) -> float:
+        """Mean distance, metres, of points (N, 3) moved by T to the map, cut off at one cube."""
+        mean: float = voxel_map.mean_distance(points, T[:3, :3].copy(), T[:3, 3].copy(), self.grid)
+        return mean
+
+    def __len__(self) -> int:
+        """Stored points."""
+        return int(self.grid.spans[: self.used, 1].sum())
+
+    def points(self) -> NDArray[np.float32]:
+        """All stored points (N, 3), map frame, metres."""
+        stored: NDArray[np.float32] = voxel_map.gather(self.grid.spans, self.grid.store, self.used)
+        return stored
+
+    def _grow(self) -> None:
+        """Make room: twice as many cubes; or twice as many points, or those packed that are there.
+
+        Rows of the new arrays that are not used yet take no memory.
+        """
+        old, rows = self.grid, len(self.grid.store)
+        if self.used == len(old.keys):
+            more = _no_voxels(2 * self.used)
+            more['keys'][: self.used] = old.keys
+            more['spans'][: self.used] = old.spans
+            self.grid = old._replace(**more)
+            self.keep_near(np.zeros(3), np.inf)
+        elif 2 * len(self) > rows:
+            more = _no_points(2 * rows)
+            for name, values in more.items():
+                values[:rows] = getattr(old, name)
+            self.grid = old._replace(**more)
+        else:
+            free = pointrows.none_taken(self._per_voxel)
+            self.grid = old._replace(free=free, **_no_points(rows))
+            voxel_map.pack(old, self.grid, self.used)
+
+
+def _no_voxels(count: int) -> dict[str, Any]:
+    """The arrays of a `Grid` for so many cubes, a power of two, all empty."""
+    slots = zeros(4 * count, np.int32)
+    slots[:] = -1
+    return {
+        'slots': slots,
+        'keys': zeros(count, np.int64),
+        'spans': zeros((count, 3), np.int32),
+    }
+
+
+def _no_points(count: int) -> dict[str, Any]:
+    """The arrays of a `Grid` for so many points."""
+    return {
+        'store': zeros((count, 3), np.float32),
+        'mass': zeros(count, np.float32),
+        'beam': zeros((count, 3), np.float32),
+        'born': zeros(count, np.float32),
+        'surface': zeros((count, 5), np.float32),
+        'fitted': zeros(count, np.int32),
+        'support': zeros(count, np.int16),
+    }
+
+
+class LocalMap:
+    """Static surroundings of the sensor at three resolutions, in the odom frame.
+
+    The coarse level widens the basin of the registration; the fine one gives the accuracy; the
+    middle and then the coarse one have surfaces where the rings of a lidar are too far apart, or
+    a depth camera too noisy, for the finer ones. The map forgets what lies farther from the sensor
+    than its reach, so its memory is bounded.
+
+    Args:
+        voxel_size_m: edge of a fine cube.
+        reach_m: farther points are forgotten.
+        points_per_voxel: most points kept per cube.
+        coarse_factor: edge of a coarse cube in fine ones.
+        noisy: whether the noise grows with the range, as that of a depth camera. Then surfaces are
+            fitted to stored points by their mass. Rings of a lidar pile up mass where they lie by
+            chance.
+
+    Attributes:
+        changes: how often its points changed.
+        updates: how often points were added.
+        noisy: as given.
+        age_s: seconds from its first points to its last ones, on a clock that never goes back.
+    """
+
+    def __init__(
+        self,
+        voxel_size_m: float,
+        reach_m: float,
+        points_per_voxel: int,
+        coarse_factor: float,
+        noisy: bool = False,
+    ) -> None:
+        sizes = (voxel_size_m * coarse_factor**power for power in (0.0, 0.5, 1.0))
+        self.fine, self.middle, self.coarse = (
+            VoxelLevel(size, points_per_voxel, noisy) for size in sizes
+        )
+        self.noisy = noisy
+        self._reach_m = reach_m
+        self._pruned_at = np.full(3, np.inf)
+        self.changes = 0
+        self.updates = 0
+        self.age_s = 0.0
+        self._stamp: int | None = None
+
+    @property
+    def levels(self) -> tuple[VoxelLevel, VoxelLevel, VoxelLevel]:
+        """Coarse, middle and fine level."""
+        return self.coarse, self.middle, self.fine
+
+    @property
+    def of_surfaces(self) -> tuple[VoxelLevel, VoxelLevel, VoxelLevel]:
+        """Levels that are asked for surfaces, the finest first."""
+        return self.fine, self.middle, self.coarse
+
+    def __len__(self) -> int:
+        """Cubes of the fine level in use."""
+        return self.fine.used
+
+    def update(
+        self,
+        points: NDArray[np.floating],
+        position: NDArray[np.float64],
+        weights: NDArray[np.floating] | None = None,
+        stamp: int = 0,
+    ) -> None:
+        """Add static points and forget what is out of reach.
+
+        Args:
+            points: (N, 3) odom frame, metres.
+            position: (3,) of the sensor, odom frame, metres.
+            weights: (N,) of each point in means with others there, at most 1; None = 1.
+            stamp: when they were seen, ns.
+        """
+        given = np.ones(len(points)) if weights is None else np.asarray(weights, np.float64)
+        self.updates += 1
+        self.changes += 1
+        if self._stamp is not None:
+            self.age_s += max(0, stamp - self._stamp) / NS_PER_S
+        self._stamp = stamp
+        for level in self.levels:
+            level.add(points, given, np.asarray(position, np.float64), self.age_s)
+        if not np.linalg.norm(position - self._pruned_at) < 0.1 * self._reach_m:
+            for level in self.levels:
+                level.keep_near(position, self._reach_m)
+            self._pruned_at = position.copy()
+
+    def erase(self, points: NDArray[np.floating]) -> int:
+        """Take points out again that turned out to move; returns how many went.
+
+        Args:
+            points: (N, 3) odom frame, metres.
+        """
+        removed = 0
+        for level in self.levels:
+            removed += level.erase_near(points, 0.5 * level.size_m)
+        self.changes += removed > 0
+        return removed
+
+    def clear(self) -> None:
+        """Forget everything."""
+        for level in self.levels:
+            level.clear()
+        self._pruned_at = np.full(3, np.inf)
+        self.age_s, self._stamp = 0.0, None
+        self.changes += 1

@@ -1,0 +1,303 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Numba kernels of a hashed voxel grid: thinning, insertion, search, erasure."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray  # noqa: TC002 (numba reads the annotations of Grid)
+
+from hybridreg_ros.odometry.map import pointrows
+from hybridreg_ros.odometry.map.voxel_hash import EMPTY, add_voxel, find_voxel, voxel_key
+
+
+class Grid(NamedTuple):
+    """One level of the map as the kernels see it.
+
+    Attributes:
+        size: edge of a voxel, metres.
+        most: most points of a voxel.
+        slots: (C,) int32, hash table of voxels (`voxelhash.find_voxel`), C a power of two.
+        keys: (V,) int64 key of each voxel.
+        spans: (V, 3) int32 of each voxel: row of its first point, points, rows it has room for.
+        free: (F,) int32 rows that may be given to a voxel (`pointrows`).
+        store: (P, 3) float32 the points of all voxels, map frame, metres.
+        mass: (P,) float32, sum of the weights of what each is the mean of, at most MOST_MASS.
+        beam: (P, 3) float32 unit direction, map frame, in which each was first seen.
+        born: (P,) float32 age of the map, seconds, when each was first seen.
+        surface: (P, 5) float32 unit normal, offset of the surface along it, variance across it.
+        fitted: (P,) int32, update after which the surface was fitted, 0 = not yet.
+        support: (P,) int16, points it was fitted to, 0 = it is no plane.
+        by_mass: whether stored points count by their mass in the fit of a surface, or alike.
+    """
+
+    size: float
+    most: int
+    slots: NDArray[np.int32]
+    keys: NDArray[np.int64]
+    spans: NDArray[np.int32]
+    free: NDArray[np.int32]
+    store: NDArray[np.float32]
+    mass: NDArray[np.float32]
+    beam: NDArray[np.float32]
+    born: NDArray[np.float32]
+    surface: NDArray[np.float32]
+    fitted: NDArray[np.int32]
+    support: NDArray[np.int16]
+    by_mass: bool
+
+
+MOST_MASS = 30.0
+"""Cap of the mass of a stored point, in measurements of weight 1: so the map can still follow."""
+
+_jit = numba.njit(cache=True, nogil=True)
+
+
+@_jit
+def insert(points, weights, origin, now_s, spacing_sq, grid, used):  # type: ignore[no-untyped-def]
+    """Add points (N, 3) to the grid; where one is stored already, that one becomes a mean.
+
+    A point joins the nearest stored one of its voxel when it is nearer than the spacing, or than
+    twice the spacing when the voxel is full. A stored point so becomes the weighted mean of what
+    was measured around it, and the noise of single scans goes out of the map.
+
+    Args:
+        points: (N, 3) float, map frame.
+        weights: (N,) of each point in a mean.
+        origin: (3,) place of the sensor, map frame.
+        now_s: age of the map, seconds.
+        spacing_sq: smallest squared distance between two points of one voxel.
+        grid: the level.
+        used: voxels in use.
+
+    Returns:
+        Voxels in use afterwards, and the row it stopped at (N unless the arrays are full).
+    """
+    inverse = 1.0 / grid.size
+    for row in range(len(points)):
+        x, y, z = points[row, 0], points[row, 1], points[row, 2]
+        key = voxel_key(x, y, z, inverse)
+        if key == EMPTY:
+            continue
+        voxel = find_voxel(key, grid.slots, grid.keys)
+        if voxel < 0:
+            if used >= len(grid.keys) or not _settle(used, grid):
+                return used, row
+            voxel = used
+            grid.keys[voxel] = key
+            add_voxel(voxel, grid.slots, grid.keys)
+            used += 1
+        start, count = grid.spans[voxel, 0], grid.spans[voxel, 1]
+        best, place = np.inf, start
+        for i in range(start, start + count):
+            dx = grid.store[i, 0] - x
+            dy = grid.store[i, 1] - y
+            dz = grid.store[i, 2] - z
+            d = dx * dx + dy * dy + dz * dz
+            if d < best:
+                best, place = d, i
+        full = count >= grid.most
+        if best < (4.0 if full else 1.0) * spacing_sq:
+            mass = grid.mass[place]
+            share = weights[row] / (mass + weights[row])
+            grid.store[place, 0] += share * (x - grid.store[place, 0])
+            grid.store[place, 1] += share * (y - grid.store[place, 1])
+            grid.store[place, 2] += share * (z - grid.store[place, 2])
+            grid.mass[place] = min(mass + weights[row], MOST_MASS)
+        elif not full:
+            if count >= grid.spans[voxel, 2] and not _move(voxel, grid):
+                return used, row
+            place = grid.spans[voxel, 0] + count
+            grid.store[place, 0] = x
+            grid.store[place, 1] = y
+            grid.store[place, 2] = z
+            grid.mass[place] = weights[row]
+            bx, by, bz = x - origin[0], y - origin[1], z - origin[2]
+            far = max(np.sqrt(bx * bx + by * by + bz * bz), 1e-6)
+            grid.beam[place, 0] = bx / far
+            grid.beam[place, 1] = by / far
+            grid.beam[place, 2] = bz / far
+            grid.born[place] = now_s
+            grid.fitted[place] = 0
+            grid.spans[voxel, 1] = count + 1
+    return used, len(points)
+
+
+@_jit
+def _settle(voxel, grid):  # type: ignore[no-untyped-def]
+    """Give a new voxel its first row; false when there is none."""
+    start = pointrows.take(1, grid.free, grid.fitted)
+    if start < 0:
+        return False
+    grid.spans[voxel, 0], grid.spans[voxel, 1], grid.spans[voxel, 2] = start, 0, 1
+    return True
+
+
+@_jit
+def _move(voxel, grid):  # type: ignore[no-untyped-def]
+    """Move a full voxel to more rows; false when there are none."""
+    start, count, room = grid.spans[voxel, 0], grid.spans[voxel, 1], grid.spans[voxel, 2]
+    larger = pointrows.longer(room, grid.most)
+    to = pointrows.take(larger, grid.free, grid.fitted)
+    if to < 0:
+        return False
+    for i in range(count):
+        _copy(grid, start + i, grid, to + i)
+    pointrows.give_back(start, room, grid.free, grid.fitted)
+    grid.spans[voxel, 0], grid.spans[voxel, 2] = to, larger
+    return True
+
+
+@_jit
+def _copy(source, i, grid, k):  # type: ignore[no-untyped-def]
+    """Copy point i of one grid to row k of another, or of the same one, and its surface if any."""
+    for axis in range(3):
+        grid.store[k, axis] = source.store[i, axis]
+        grid.beam[k, axis] = source.beam[i, axis]
+    grid.mass[k] = source.mass[i]
+    grid.born[k] = source.born[i]
+    grid.fitted[k] = source.fitted[i]
+    if source.fitted[i] != 0:
+        for axis in range(5):
+            grid.surface[k, axis] = source.surface[i, axis]
+        grid.support[k] = source.support[i]
+
+
+@_jit
+def pack(source, grid, used):  # type: ignore[no-untyped-def]
+    """Copy the points of all voxels side by side into a grid that shares the voxels of its source.
+
+    Args:
+        source: the level as it is.
+        grid: the same with other arrays of points and no row taken.
+        used: voxels in use.
+    """
+    for voxel in range(used):
+        start, count = source.spans[voxel, 0], source.spans[voxel, 1]
+        room = max(1, count)
+        to = pointrows.take(room, grid.free, grid.fitted)
+        for i in range(count):
+            _copy(source, start + i, grid, to + i)
+        grid.spans[voxel, 0], grid.spans[voxel, 2] = to, room
+
+
+@_jit
+def keep_near(centre, reach_sq, grid, used):  # type: ignore[no-untyped-def]
+    """Drop empty voxels and voxels whose first point is farther than the reach; voxels in use."""
+    grid.slots[:] = -1
+    kept = 0
+    for voxel in range(used):
+        start, count, room = grid.spans[voxel, 0], grid.spans[voxel, 1], grid.spans[voxel, 2]
+        dx = grid.store[start, 0] - centre[0]
+        dy = grid.store[start, 1] - centre[1]
+        dz = grid.store[start, 2] - centre[2]
+        if count == 0 or dx * dx + dy * dy + dz * dz > reach_sq:
+            pointrows.give_back(start, room, grid.free, grid.fitted)
+            continue
+        grid.keys[kept] = grid.keys[voxel]
+        grid.spans[kept] = grid.spans[voxel]
+        add_voxel(kept, grid.slots, grid.keys)
+        kept += 1
+    return kept
+
+
+@_jit
+def erase_near(points, reach_sq, grid):  # type: ignore[no-untyped-def]
+    """Remove stored points within the reach of any of the points (N, 3); returns how many."""
+    inverse = 1.0 / grid.size
+    removed = 0
+    for row in range(len(points)):
+        x, y, z = points[row, 0], points[row, 1], points[row, 2]
+        key = voxel_key(x, y, z, inverse)
+        if key == EMPTY:
+            continue
+        voxel = find_voxel(key, grid.slots, grid.keys)
+        if voxel < 0:
+            continue
+        i = grid.spans[voxel, 0]
+        end = i + grid.spans[voxel, 1]
+        while i < end:
+            dx = grid.store[i, 0] - x
+            dy = grid.store[i, 1] - y
+            dz = grid.store[i, 2] - z
+            if dx * dx + dy * dy + dz * dz <= reach_sq:
+                end -= 1
+                _copy(grid, end, grid, i)
+                grid.fitted[i] = 0
+                grid.spans[voxel, 1] -= 1
+                removed += 1
+            else:
+                i += 1
+    return removed
+
+
+@_jit
+def mean_distance(points, R, t, grid):  # type: ignore[no-untyped-def]
+    """Mean distance of moved points (N, 3) to the nearest stored point, cut off at a voxel."""
+    total = 0.0
+    for row in range(len(points)):
+        px, py, pz = points[row, 0], points[row, 1], points[row, 2]
+        x = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + t[0]
+        y = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz + t[1]
+        z = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2]
+        total += np.sqrt(nearest(x, y, z, grid)[1])
+    return total / max(1, len(points))
+
+
+@_jit
+def nearest(x, y, z, grid):  # type: ignore[no-untyped-def]
+    """Stored point nearest to a place, within one voxel edge.
+
+    Returns:
+        Its row (-1 = none), squared distance (the squared edge when there is none).
+    """
+    size = grid.size
+    best = size * size
+    place = -1
+    centre = voxel_key(x, y, z, 1.0 / size)
+    if centre == EMPTY:
+        return place, best
+    # Distance to the lower and upper face of the own voxel: a neighbour cannot be nearer.
+    fx = x / size - np.floor(x / size)
+    fy = y / size - np.floor(y / size)
+    fz = z / size - np.floor(z / size)
+    for turn in range(2):
+        for di in range(-1, 2):
+            gx = 0.0 if di == 0 else (fx if di < 0 else 1.0 - fx)
+            for dj in range(-1, 2):
+                gy = 0.0 if dj == 0 else (fy if dj < 0 else 1.0 - fy)
+                for dk in range(-1, 2):
+                    own = di == 0 and dj == 0 and dk == 0
+                    if own != (turn == 0):
+                        continue
+                    gz = 0.0 if dk == 0 else (fz if dk < 0 else 1.0 - fz)
+                    if (gx * gx + gy * gy + gz * gz) * size * size >= best:
+                        continue
+                    key = centre + (di << 42) + (dj << 21) + dk
+                    voxel = find_voxel(key, grid.slots, grid.keys)
+                    if voxel < 0:
+                        continue
+                    start = grid.spans[voxel, 0]
+                    for i in range(start, start + grid.spans[voxel, 1]):
+                        dx = grid.store[i, 0] - x
+                        dy = grid.store[i, 1] - y
+                        dz = grid.store[i, 2] - z
+                        d = dx * dx + dy * dy + dz * dz
+                        if d < best:
+                            best, place = d, i
+    return place, best
+
+
+@_jit
+def gather(spans, store, used):  # type: ignore[no-untyped-def]
+    """All stored points as (N, 3) float32."""
+    points = np.empty((spans[:used, 1].sum(), 3), np.float32)
+    row = 0
+    for voxel in range(used):
+        start, count = spans[voxel, 0], spans[voxel, 1]
+        points[row : row + count] = store[start : start + count]
+        row += count
+    return points

@@ -1,0 +1,100 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Cloud: a preprocessed scan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybridreg_ros.core import se3
+from hybridreg_ros.odometry.map.thinning import means_of
+from hybridreg_ros.odometry.motion.intra_scan_motion import Sway
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """A preprocessed scan.
+
+    Attributes:
+        points: (N, 3) float32, all points of the scan, deskewed, sensor frame, metres.
+        usable: (N,) bool, inside the range limits.
+        map_rows: (M,) rows of `points` thinned for the map.
+        icp_rows: (K,) rows of `points` thinned for registration, K <= icp_points.
+        means: (M, 3) float32, mean of the points in the cube of each map row: less noise than one.
+        counts: (M,) int32 points in that cube.
+        cube: (N,) int32 cube of each point, -1 outside the range limits.
+        deskewed: True when the motion during the scan was undone.
+        instant_s: instant of `points`, seconds after the scan's stamp.
+        reported_s: instant at which the pose is wanted, seconds after the scan's stamp.
+        twist: (6,) velocity by which it was deskewed, sensor frame.
+        times: (N,) seconds of each point after `instant_s`; None when it was not deskewed.
+        icp_share: share of the registered points that counts as independent, (0, 1].
+    """
+
+    points: NDArray[np.float32]
+    usable: NDArray[np.bool_]
+    map_rows: NDArray[np.int64]
+    icp_rows: NDArray[np.int64]
+    means: NDArray[np.float32]
+    counts: NDArray[np.int32]
+    cube: NDArray[np.int32]
+    deskewed: bool
+    instant_s: float
+    reported_s: float
+    twist: NDArray[np.float64]
+    times: NDArray[np.float64] | None
+    icp_share: float = 1.0
+
+    @property
+    def map_points(self) -> NDArray[np.float32]:
+        """(M, 3) measured points, thinned; the network gets them."""
+        return self.points[self.map_rows]
+
+    @property
+    def icp_in_map(self) -> NDArray[np.int64]:
+        """(K,) place of each registered point among the map points."""
+        return np.searchsorted(self.map_rows, self.icp_rows)
+
+    @property
+    def icp_points(self) -> NDArray[np.float32]:
+        """(K, 3) points that are registered: means of the cubes of `icp_rows`."""
+        return self.means[self.icp_in_map]
+
+    @property
+    def icp_times(self) -> NDArray[np.float64] | None:
+        """(K,) seconds of each registered point after the instant, None when there are none."""
+        return None if self.times is None else self.times[self.icp_rows]
+
+    def straightened(self, sway: Sway) -> Cloud:
+        """The same cloud with the motion during the scan undone that its deskew left."""
+        assert self.times is not None
+        points = sway.undo(self.points, self.times)
+        means, _ = means_of(points, self.cube, len(self.map_rows))
+        return replace(self, points=points, means=means)
+
+    def icp_with(self, sway: Sway | None) -> NDArray[np.float32]:
+        """(K, 3) points that are registered, with a sway undone."""
+        points, times = self.icp_points, self.icp_times
+        return points if sway is None or times is None else sway.undo(points, times)
+
+    def reported(self, pose: NDArray[np.float64], sway: Sway | None = None) -> NDArray[np.float64]:
+        """Pose (4, 4) at the instant that is asked for, from that of the points."""
+        return self.pose_at(self.reported_s - self.instant_s, pose, sway)
+
+    def pose_at(
+        self, second: float, pose: NDArray[np.float64], sway: Sway | None = None
+    ) -> NDArray[np.float64]:
+        """Pose (4, 4) so many seconds after the instant of the points, from that of the points."""
+        even: NDArray[np.float64] = pose if sway is None else pose @ sway.at(second)
+        return even @ se3.exp(self.twist * second)
+
+    def moved_by(self, twist: NDArray[np.float64]) -> Cloud:
+        """A cloud that was taken to stand still, deskewed by a velocity (6,) known since."""
+        moved = self.straightened(Sway(twist - self.twist, np.zeros(6)))
+        return replace(moved, twist=twist)

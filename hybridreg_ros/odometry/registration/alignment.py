@@ -1,0 +1,306 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Refinement: ICP of the static points against the local map, coarse level first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from hybridreg_ros.core import se3
+from hybridreg_ros.odometry.motion import intra_scan_motion
+from hybridreg_ros.odometry.motion.intra_scan_motion import NO_SWAY, Sway
+from hybridreg_ros.odometry.registration import kernels
+from hybridreg_ros.odometry.registration.cluster_covariance import scatter
+from hybridreg_ros.odometry.registration.maturity import by_age
+from hybridreg_ros.odometry.registration.surfaces import Surfaces
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hybridreg_ros.odometry.config import RefineConfig
+    from hybridreg_ros.odometry.map.local_map import LocalMap, VoxelLevel
+    from hybridreg_ros.odometry.motion.prediction import Expected
+
+Basin = Literal['coarse', 'middle', 'fine']
+
+_POINT_SPREAD = 5.0
+"""Standard deviation of a point-to-point residual, in voxels: such pairs follow the pattern of the
+rings rather than the surface, so they only hold what planes leave free."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """How well a scan sits in the map.
+
+    Attributes:
+        T_odom_sensor: (4, 4) float64.
+        information: (6, 6) of the pose error (x y z, turn about the sensor; odom axes), 1/m^2 and
+            1/rad^2; zero where nothing was found.
+        overlap: share of the points with a surface of the map nearby, [0, 1].
+        scale_m: robust standard deviation of the plane residuals, metres.
+        converged: False when the iterations ended while the pose still moved.
+        scatter: (6, 6) covariance of the pose error by how much the parts of the scan disagree,
+            m^2 and rad^2, same axes (`scatter.scatter`).
+        sway: motion during the scan that its deskew did not undo, when it was asked for.
+    """
+
+    T_odom_sensor: NDArray[np.float64]
+    information: NDArray[np.float64]
+    overlap: float
+    scale_m: float
+    converged: bool
+    scatter: NDArray[np.float64]
+    sway: Sway | None = None
+
+
+def refine(
+    points: NDArray[np.floating],
+    T_odom_sensor: NDArray[np.float64],
+    local_map: LocalMap,
+    config: RefineConfig,
+    weights: NDArray[np.floating] | None = None,
+    basin: Basin = 'coarse',
+    times: NDArray[np.float64] | None = None,
+    prior: Expected | None = None,
+) -> Fit:
+    """Align points with the map, from a first guess.
+
+    Args:
+        points: (N, 3), sensor frame, metres, thinned.
+        T_odom_sensor: (4, 4) first guess.
+        local_map: the map.
+        config: settings.
+        weights: (N,) trust per point in [0, 1] (1 - P(dynamic)), or None for all equal.
+        basin: level to start on: the coarser, the farther off the guess may be.
+        times: (N,) seconds of each point after the instant of the pose; then the motion during
+            the scan is found too.
+        prior: pose that the motion so far expects, with a spread to which the information of the
+            points is comparable; it holds what they leave loose. None = nothing is expected.
+    """
+    start = T_odom_sensor
+    if basin != 'fine':
+        start = pull_in(points, T_odom_sensor, local_map, config, weights, basin)
+    points, trust = _prepared(points, weights)
+    floor = 4.0 * config.min_scale if basin == 'fine' else 0.4 * config.start_scale
+    levels = local_map.of_surfaces
+    T, converged, surfaces = _iterate(
+        points, trust, start, levels, local_map, config, floor, prior
+    )
+    if times is None or not config.sway:
+        if converged:  # it stands where it was paired last
+            return _assessed(points, trust, T, surfaces, local_map, config, converged)
+        return assess(points, T, local_map, config, weights, converged)
+    T, found = _with_sway(points, times, trust, T, local_map, config, prior)
+    fit = assess(found.undo(points, times), T, local_map, config, weights, converged)
+    return replace(fit, sway=found)
+
+
+def _with_sway(
+    points: NDArray[np.float64],
+    times: NDArray[np.float64],
+    trust: NDArray[np.float64],
+    T: NDArray[np.float64],
+    local_map: LocalMap,
+    config: RefineConfig,
+    prior: Expected | None,
+) -> tuple[NDArray[np.float64], Sway]:
+    """Pose and motion during the scan, from the pose of an even motion."""
+    level, found, moved = local_map.fine, NO_SWAY, points
+    surfaces, order = Surfaces(len(points)), _by_range(points)
+    half_span = 0.5 * float(times.max() - times.min())
+    low = config.min_scale * level.size_m
+    for _ in range(config.sway_iterations):
+        surfaces.search(moved, T, local_map.of_surfaces, local_map.updates)
+        lasting = by_age(trust, surfaces, local_map.age_s, config)
+        step = 0.0
+        for _ in range(2):
+            surfaces.measure(moved, T)
+            scale = surfaces.scales(order, low, level.size_m)
+            sums = intra_scan_motion.moments(
+                moved, times, lasting, T[:3, :3].copy(), T[:3, 3].copy(), surfaces.kind,
+                surfaces.anchor, surfaces.normal, surfaces.variance, scale,
+                (_POINT_SPREAD * level.size_m) ** 2,
+            )  # fmt: skip
+            T, found, length = intra_scan_motion.update(found, T, sums, half_span, config, prior)
+            moved = found.undo(points, times)
+            step = max(step, length)
+        if step < 0.02:
+            break
+    return se3.orthonormalise(T), found
+
+
+def pull_in(
+    points: NDArray[np.floating],
+    T_odom_sensor: NDArray[np.float64],
+    local_map: LocalMap,
+    config: RefineConfig,
+    weights: NDArray[np.floating] | None,
+    basin: Basin,
+) -> NDArray[np.float64]:
+    """Improve a guess on a coarser level with some of the points; arguments as `refine`."""
+    some = slice(None, None, max(1, len(points) // config.coarse_points))
+    points, trust = _prepared(points[some], None if weights is None else weights[some])
+    level = local_map.coarse if basin == 'coarse' else local_map.middle
+    levels = (level, local_map.coarse, local_map.coarse)
+    return _iterate(points, trust, T_odom_sensor, levels, local_map, config, config.start_scale)[0]
+
+
+def _prepared(
+    points: NDArray[np.floating], weights: NDArray[np.floating] | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Contiguous float64 points and weights for the kernels."""
+    trust = np.ones(len(points)) if weights is None else weights
+    return np.ascontiguousarray(points, np.float64), np.ascontiguousarray(trust, np.float64)
+
+
+def assess(
+    points: NDArray[np.floating],
+    T_odom_sensor: NDArray[np.float64],
+    local_map: LocalMap,
+    config: RefineConfig,
+    weights: NDArray[np.floating] | None = None,
+    converged: bool = True,
+) -> Fit:
+    """Measure how well points sit in the map at a pose, without moving them.
+
+    Args:
+        points: (N, 3), sensor frame, metres.
+        T_odom_sensor: (4, 4) the pose.
+        local_map: the map.
+        config: settings.
+        weights: (N,) trust per point in [0, 1], or None.
+        converged: passed on to the result.
+    """
+    points, trust = _prepared(points, weights)
+    surfaces = Surfaces(len(points))
+    surfaces.search(points, T_odom_sensor, local_map.of_surfaces, local_map.updates)
+    return _assessed(points, trust, T_odom_sensor, surfaces, local_map, config, converged)
+
+
+def _assessed(
+    points: NDArray[np.float64],
+    trust: NDArray[np.float64],
+    T_odom_sensor: NDArray[np.float64],
+    surfaces: Surfaces,
+    local_map: LocalMap,
+    config: RefineConfig,
+    converged: bool,
+) -> Fit:
+    """How well points sit in the map, with their surfaces; arguments as `assess`."""
+    level = local_map.fine
+    surfaces.measure(points, T_odom_sensor)
+    scale = surfaces.scale(config.min_scale * level.size_m, level.size_m)
+    # Point-to-point pairs follow the sampling, not the scene: they say nothing about the error.
+    planes = np.where(surfaces.kind == kernels.PLANE, trust, 0.0)
+    scales = surfaces.scales(_by_range(points), config.min_scale * level.size_m, level.size_m)
+    H, b, any_way = _system(points, planes, T_odom_sensor, surfaces, scales, level)
+    disagreement = scatter(points, planes, T_odom_sensor, surfaces, scales, H, level.size_m)
+    H, _ = believed(H, b, any_way, config.loose)
+    usable = trust > 0.5
+    paired = usable & (surfaces.kind != kernels.NONE)
+    return Fit(
+        T_odom_sensor=T_odom_sensor,
+        information=H,
+        overlap=float(paired.sum() / max(1, usable.sum())),
+        scale_m=scale,
+        converged=converged,
+        scatter=disagreement,
+    )
+
+
+def _by_range(points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Rows of the points (N, 3) by their range, nearest first."""
+    return np.argsort((points**2).sum(axis=1))
+
+
+def _system(
+    points: NDArray[np.float64],
+    trust: NDArray[np.float64],
+    T: NDArray[np.float64],
+    surfaces: Surfaces,
+    scale: NDArray[np.float64],
+    level: VoxelLevel,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Gauss-Newton system of the robust cost at T; as `kernels.normal_equations` gives it."""
+    system: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+    system = kernels.normal_equations(
+        points, trust, T[:3, :3].copy(), T[:3, 3].copy(), surfaces.kind, surfaces.anchor,
+        surfaces.normal, surfaces.variance, scale, (_POINT_SPREAD * level.size_m) ** 2,
+    )  # fmt: skip
+    return system
+
+
+def believed(
+    H: NDArray[np.float64], b: NDArray[np.float64], any_way: NDArray[np.float64], loose: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The part of a Gauss-Newton system that surfaces really hold.
+
+    Normals are off a little everywhere, and alike over many points (bent depth images, planes
+    fitted to noise): so one bare wall seems to hold the motion along it, by the weight of
+    thousands of points. The gradient of that is taken as an error with covariance
+    loose * (any_way - H), common to all points; where H is much larger, nothing changes.
+
+    Args:
+        H: (6, 6) information; b (6,) gradient.
+        b: (6,).
+        any_way: (6, 6) information if every surface held all directions.
+        loose: share of it that is taken for error.
+
+    Returns:
+        Information (6, 6) and gradient (6,); the solution of the system alone stays the same.
+    """
+    if loose == 0.0:
+        return H, b
+    # Pairs of points are in H alone: where there are hardly any planes they set the units.
+    unit = np.sqrt(np.maximum(np.maximum(np.diag(any_way), np.diag(H)), 1e-12))
+    scaled = H / np.outer(unit, unit)
+    noise = scaled + loose * (any_way / np.outer(unit, unit) - scaled) + 1e-9 * np.eye(6)
+    part = np.linalg.solve(noise, np.column_stack([scaled, b / unit]))
+    return (scaled @ part[:, :6]) * np.outer(unit, unit), (scaled @ part[:, 6]) * unit
+
+
+def _iterate(
+    points: NDArray[np.float64],
+    trust: NDArray[np.float64],
+    T: NDArray[np.float64],
+    levels: tuple[VoxelLevel, VoxelLevel, VoxelLevel],
+    local_map: LocalMap,
+    config: RefineConfig,
+    floor: float,
+    prior: Expected | None = None,
+) -> tuple[NDArray[np.float64], bool, Surfaces]:
+    """Pair and step until the pose stands still; the pose, whether it does, and the last pairs.
+
+    The robust scale starts no smaller than `floor` voxels and shrinks (graduated non-convexity):
+    a sharp kernel at a bad guess would keep only the pairs that happen to agree with the guess.
+    """
+    level = levels[0]
+    surfaces = Surfaces(len(points))
+    reach = float(np.median(np.linalg.norm(points, axis=1))) if len(points) else 1.0
+    order = _by_range(points)
+    for _ in range(config.max_iterations):
+        surfaces.search(points, T, levels, local_map.updates)
+        lasting = by_age(trust, surfaces, local_map.age_s, config)
+        moved = 0.0
+        for _ in range(2):
+            surfaces.measure(points, T)
+            low = max(floor, config.min_scale) * level.size_m
+            scale = surfaces.scales(order, low, level.size_m)
+            H, b, any_way = _system(points, lasting, T, surfaces, scale, level)
+            if prior is not None:
+                H, b = believed(H, b, any_way, config.loose)
+                weight, pull = prior.pull(T)
+                H[np.arange(6), np.arange(6)] += weight
+                b += pull
+            step = intra_scan_motion.solve(H, b)
+            T = T.copy()
+            T[:3, :3] = se3.so3_exp(step[3:]) @ T[:3, :3]
+            T[:3, 3] += step[:3]
+            moved = max(moved, float(np.linalg.norm(step[:3]) + reach * np.linalg.norm(step[3:])))
+        if moved < config.convergence * level.size_m and floor < 2.0 * config.min_scale:
+            return se3.orthonormalise(T), True, surfaces
+        floor *= config.anneal
+    return se3.orthonormalise(T), False, surfaces

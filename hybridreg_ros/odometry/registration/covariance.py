@@ -1,0 +1,107 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Pose and twist covariance from the information matrix of the registration."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybridreg_ros.odometry.result import LOST_VARIANCE
+
+if TYPE_CHECKING:
+    from hybridreg_ros.odometry.registration.alignment import Fit
+
+F64 = NDArray[np.float64]
+
+_LARGEST_STD = 10.0
+"""Cap of standard deviations (metres, radians): below LOST_VARIANCE, far above any use."""
+
+
+def lost() -> F64:
+    """Covariance (6, 6) of a pose that must not be used."""
+    return np.eye(6) * LOST_VARIANCE
+
+
+def first() -> F64:
+    """Covariance (6, 6) of the first pose: it defines the odom frame, so it has no error."""
+    return np.eye(6) * 1e-12
+
+
+def of_pose(information: F64, factor: float) -> F64:
+    """Inverse information, scaled; directions that the points do not hold get the cap.
+
+    Args:
+        information: (6, 6), 1/m^2 and 1/rad^2.
+        factor: scale of the covariance.
+
+    Returns:
+        (6, 6) symmetric, positive definite.
+    """
+    unit = np.sqrt(np.maximum(np.diag(information), 1e-9))
+    values, vectors = np.linalg.eigh(information / np.outer(unit, unit))
+    values = np.maximum(values, 1e-6)
+    covariance = (vectors / values) @ vectors.T * factor / np.outer(unit, unit)
+    std = np.sqrt(np.diag(covariance))
+    shrink = np.minimum(1.0, _LARGEST_STD / std)
+    capped: F64 = covariance * np.outer(shrink, shrink)
+    return 0.5 * (capped + capped.T)
+
+
+def of_fit(fit: Fit, ahead_s: float, factor: float) -> F64:
+    """Covariance (6, 6), odom axes, of the pose that is reported of a registered scan.
+
+    Args:
+        fit: the scan in the map.
+        ahead_s: from the instant of the fit to the one reported, seconds.
+        factor: scale of the covariance.
+    """
+    covariance = of_pose(fit.information, factor)
+    if fit.sway is None or ahead_s == 0.0:
+        return covariance
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = turn[3:, 3:] = fit.T_odom_sensor[:3, :3]
+    carried: F64 = covariance + factor * turn @ fit.sway.spread_at(ahead_s) @ turn.T
+    return carried
+
+
+def weakest_m(covariance: F64) -> float:
+    """Standard deviation, metres, of the position along the direction held worst.
+
+    Args:
+        covariance: (6, 6) of a pose.
+    """
+    return float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
+
+
+def coasting(covariance: F64, factor: float, floor_m: float) -> F64:
+    """Covariance (6, 6) of a pose that is only predicted from one of this covariance.
+
+    Args:
+        covariance: (6, 6) of the last pose.
+        factor: growth per frame.
+        floor_m: at least this standard deviation is added (metres; radians too).
+    """
+    grown: F64 = np.minimum(covariance * factor, _LARGEST_STD**2) + np.eye(6) * floor_m**2
+    return grown
+
+
+def of_twist(pose_covariance: F64, T_odom_sensor: F64, dt_s: float) -> F64:
+    """Covariance (6, 6) of a twist in the sensor frame.
+
+    The twist comes from the difference of two poses; their errors are taken as equal and
+    independent.
+
+    Args:
+        pose_covariance: (6, 6) odom axes.
+        T_odom_sensor: (4, 4) the pose.
+        dt_s: seconds between the two poses; 0 = unknown velocity.
+    """
+    if dt_s <= 0.0 or pose_covariance[0, 0] >= LOST_VARIANCE:
+        return lost()
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = turn[3:, 3:] = T_odom_sensor[:3, :3].T
+    covariance: F64 = 2.0 * turn @ pose_covariance @ turn.T / dt_s**2
+    return covariance

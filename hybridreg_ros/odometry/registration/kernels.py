@@ -1,0 +1,233 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Numba kernels of robust point-to-plane ICP against a voxel level."""
+
+# ruff: noqa: D417, PLR0913, PLR0917 (kernels take plain arrays, named in `VoxelLevel`)
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from hybridreg_ros.odometry.map.planes import buffer, fit_around
+from hybridreg_ros.odometry.map.voxel_map import nearest
+
+_jit = numba.njit(cache=True, nogil=True)
+
+NONE, POINT, PLANE = 0, 1, 2
+GRAZING = 0.12
+"""A surface is not seen edge-on (cosine between normal and beam). Of a single ring of a lidar the
+range noise makes a strip, and that lies in the cone of its beams: it would travel along with the
+sensor and hold it where it was."""
+BETWEEN = 0.5
+"""How far off a surface of the wider level a point between the rings may be, in voxels."""
+
+
+@_jit
+def fit_surface(i, grid, wider, widest, update, room):  # type: ignore[no-untyped-def]
+    """Fit the surface of one stored point, on its own level or on the next that shows one."""
+    x, y, z = grid.store[i, 0], grid.store[i, 1], grid.store[i, 2]
+    beam = grid.beam[i]
+    n, nx, ny, nz, offset, variance = fit_around(x, y, z, grid, room)
+    if n == 0 or _edge_on(nx, ny, nz, beam):
+        n, nx, ny, nz, offset, variance = fit_around(x, y, z, wider, room)
+        if n == 0 and widest.size > wider.size:
+            n, nx, ny, nz, offset, variance = fit_around(x, y, z, widest, room)
+        if _edge_on(nx, ny, nz, beam):
+            n = 0
+    grid.surface[i, 0] = nx
+    grid.surface[i, 1] = ny
+    grid.surface[i, 2] = nz
+    grid.surface[i, 3] = offset
+    grid.surface[i, 4] = variance
+    grid.fitted[i] = update
+    grid.support[i] = min(n, 30000)
+
+
+@_jit
+def _edge_on(nx, ny, nz, beam):  # type: ignore[no-untyped-def]
+    """Whether a surface with this normal was seen too edge-on to be one; true without a normal."""
+    return abs(nx * beam[0] + ny * beam[1] + nz * beam[2]) < GRAZING
+
+
+@_jit
+def _lasts(support):  # type: ignore[no-untyped-def]
+    """Updates of the map for which a surface stays as it is; 0 while there is none yet."""
+    if support == 0:
+        return 0
+    return 24 if support > 20 else 6
+
+
+@_jit
+def _surface_of(x, y, z, grid, wider, widest, update, room):  # type: ignore[no-untyped-def]
+    """Stored point nearest to a place, its surface fitted as often as it is due.
+
+    Returns:
+        Its row in the level, -1 = none within one edge.
+    """
+    i, _ = nearest(x, y, z, grid)
+    if i >= 0:
+        age = update - grid.fitted[i]
+        if grid.fitted[i] == 0 or age > _lasts(grid.support[i]):
+            fit_surface(i, grid, wider, widest, update, room)
+    return i
+
+
+@_jit
+def _on_plane(x, y, z, grid, i, slack):  # type: ignore[no-untyped-def]
+    """Whether a place lies on the surface of a stored point, if that is a plane."""
+    if i < 0 or grid.support[i] == 0:
+        return False
+    off = -float(grid.surface[i, 3])
+    off += (x - grid.store[i, 0]) * grid.surface[i, 0]
+    off += (y - grid.store[i, 1]) * grid.surface[i, 1]
+    off += (z - grid.store[i, 2]) * grid.surface[i, 2]
+    return abs(off) < slack
+
+
+@_jit
+def associate(points, R, t, grid, wider, widest, update, kind, anchor, normal, var, born):  # type: ignore[no-untyped-def]
+    """Surface of the map nearest to each moved point.
+
+    The nearest stored point within one voxel edge brings its surface along. It is fitted when
+    first needed and again after some updates of the map, so it does not follow the query point:
+    a surface fitted around the query would creep along with it and slow the convergence down.
+
+    Where a lidar has few rings, a point that falls between old ones has no stored point so near.
+    If only those that happen to fall on old rings counted, the sensor would be held where rings
+    meet rings. So such a point is paired on the wider level, when it lies on a plane there.
+
+    Args:
+        points: (N, 3) float64, sensor frame; R, t move them into the map frame.
+        grid: the level.
+        wider: the level that gives surfaces where this one is too fine.
+        widest: the level that does where that one is too fine as well; `wider` for none.
+        update: number of updates of the map so far, > 0.
+        kind: (N,) int8 out, NONE, POINT or PLANE.
+        anchor: (N, 3) float64 out, a point of the surface.
+        normal: (N, 3) float64 out, unit normal (PLANE).
+        var: (N,) float64 out, variance of the map points across the plane, m^2.
+        born: (N,) float64 out, age of the map, seconds, when that stored point was first seen.
+    """
+    room = buffer(grid)
+    for row in range(len(points)):
+        px, py, pz = points[row, 0], points[row, 1], points[row, 2]
+        x = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + t[0]
+        y = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz + t[1]
+        z = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2]
+        kind[row] = NONE
+        level = grid
+        i = _surface_of(x, y, z, grid, wider, widest, update, room)
+        if i < 0 and wider.size > grid.size and not grid.by_mass:
+            level = wider
+            i = _surface_of(x, y, z, wider, widest, widest, update, room)
+            if not _on_plane(x, y, z, wider, i, BETWEEN * grid.size):
+                continue
+        if i < 0:
+            continue
+        kind[row] = PLANE if level.support[i] > 0 else POINT
+        born[row] = level.born[i]
+        offset = level.surface[i, 3]
+        for axis in range(3):
+            normal[row, axis] = level.surface[i, axis]
+            anchor[row, axis] = level.store[i, axis] + offset * normal[row, axis]
+        var[row] = level.surface[i, 4]
+
+
+@_jit
+def residuals(points, R, t, kind, anchor, normal, out):  # type: ignore[no-untyped-def]
+    """Distance of each moved point to its plane or point, metres, into `out` (N,); inf = none."""
+    for row in range(len(points)):
+        if kind[row] == NONE:
+            out[row] = np.inf
+            continue
+        px, py, pz = points[row, 0], points[row, 1], points[row, 2]
+        dx = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + t[0] - anchor[row, 0]
+        dy = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz + t[1] - anchor[row, 1]
+        dz = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2] - anchor[row, 2]
+        if kind[row] == PLANE:
+            out[row] = abs(dx * normal[row, 0] + dy * normal[row, 1] + dz * normal[row, 2])
+        else:
+            out[row] = np.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@_jit
+def _add_any(H, w, ax, ay, az):  # type: ignore[no-untyped-def]
+    """Add to the upper half of H (6, 6) what holds a point in all three directions."""
+    # J = [I, -hat(a)]
+    H[0, 0] += w
+    H[1, 1] += w
+    H[2, 2] += w
+    H[0, 4] += w * az
+    H[0, 5] -= w * ay
+    H[1, 3] -= w * az
+    H[1, 5] += w * ax
+    H[2, 3] += w * ay
+    H[2, 4] -= w * ax
+    H[3, 3] += w * (ay * ay + az * az)
+    H[4, 4] += w * (ax * ax + az * az)
+    H[5, 5] += w * (ax * ax + ay * ay)
+    H[3, 4] -= w * ax * ay
+    H[3, 5] -= w * ax * az
+    H[4, 5] -= w * ay * az
+
+
+@_jit
+def normal_equations(points, weights, R, t, kind, anchor, normal, var, scale, point_var):  # type: ignore[no-untyped-def]
+    """Gauss-Newton system of the robust cost at (R, t).
+
+    The unknowns are a shift (3,) of the position and a turn (3,) about the sensor, both in map
+    axes. Each residual is weighted by its variance and by a Geman-McClure kernel.
+
+    Args:
+        points: (N, 3) float64, sensor frame.
+        weights: (N,) share of trust per point, [0, 1].
+        scale: (N,) standard deviation of a good plane residual, metres.
+        point_var: variance of a point-to-point residual, m^2.
+
+    Returns:
+        H (6, 6), b (6,): the step solves H step = -b. And G (6, 6): what H would be of the planes
+        if their normals pointed everywhere evenly, times three.
+    """
+    H = np.zeros((6, 6))
+    G = np.zeros((6, 6))
+    b = np.zeros(6)
+    J = np.zeros(6)
+    for row in range(len(points)):
+        if kind[row] == NONE or weights[row] <= 0.0:
+            continue
+        px, py, pz = points[row, 0], points[row, 1], points[row, 2]
+        ax = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz
+        ay = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz
+        az = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz
+        dx = ax + t[0] - anchor[row, 0]
+        dy = ay + t[1] - anchor[row, 1]
+        dz = az + t[2] - anchor[row, 2]
+        if kind[row] == PLANE:
+            nx, ny, nz = normal[row, 0], normal[row, 1], normal[row, 2]
+            r = dx * nx + dy * ny + dz * nz
+            variance = scale[row] * scale[row] + var[row]
+            kernel = 9.0 * variance / (9.0 * variance + r * r)
+            w = weights[row] * kernel * kernel / variance
+            _add_any(G, w, ax, ay, az)
+            J[0], J[1], J[2] = nx, ny, nz
+            J[3], J[4], J[5] = ay * nz - az * ny, az * nx - ax * nz, ax * ny - ay * nx
+            for i in range(6):
+                b[i] += w * J[i] * r
+                for j in range(i, 6):
+                    H[i, j] += w * J[i] * J[j]
+        else:
+            d = dx * dx + dy * dy + dz * dz
+            kernel = 9.0 * point_var / (9.0 * point_var + d)
+            w = weights[row] * kernel * kernel / point_var
+            _add_any(H, w, ax, ay, az)
+            b[0] += w * dx
+            b[1] += w * dy
+            b[2] += w * dz
+            b[3] += w * (ay * dz - az * dy)
+            b[4] += w * (az * dx - ax * dz)
+            b[5] += w * (ax * dy - ay * dx)
+    for i in range(6):
+        for j in range(i):
+            H[i, j] = H[j, i]
+            G[i, j] = G[j, i]
+    return H, b, G

@@ -1,0 +1,237 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Poses under judgement and poses that passed."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybridreg_ros.core.errors import RegistrationError
+from hybridreg_ros.odometry.result import Reason, Source
+from hybridreg_ros.odometry.selection.pose_confidence import FIRM, of_evidence, weakness
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from numpy.typing import NDArray
+
+    from hybridreg_ros.odometry.config import GateConfig
+    from hybridreg_ros.odometry.motion.prediction import Expected
+    from hybridreg_ros.odometry.registration.alignment import Fit
+    from hybridreg_ros.odometry.selection.pose_confidence import Evidence, Verdict
+
+    F64 = NDArray[np.float64]
+    F32 = NDArray[np.float32]
+
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybridreg_ros.core import se3
+
+_log = logging.getLogger(__name__)
+
+AGAINST = 3.0
+"""Log odds that a pose loses per tenfold distance from the predicted one, beyond what is usual: as
+logistic models fitted to poses of development sequences have it (2.7 to 3.5)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Located:
+    """A pose that passed its checks.
+
+    Attributes:
+        fit: the pose in the map.
+        evidence: what speaks for it.
+        source: the branch that made it.
+        reason: why that branch.
+        confidence: P(pose right) by the evidence and, of its poses, the network, [0, 1].
+        evident: by the evidence alone, [0, 1].
+        uncertainty: (M,) float32 of the network per map point of the cloud, None without one.
+        surprise: how far it is off the predicted pose (`claim.surprise`).
+        rank: by which the best of several is chosen (`rank`).
+        tentative: taken only since it is as the motion leads one to expect: better than none, but
+            its scan is a bad one.
+    """
+
+    fit: Fit
+    evidence: Evidence
+    source: Source
+    reason: Reason
+    confidence: float
+    evident: float
+    uncertainty: F32 | None = None
+    surprise: float = 0.0
+    rank: float = 0.0
+    tentative: bool = False
+
+    def adds_to_map(self, gate: GateConfig, voxel_size_m: float) -> bool:
+        """Whether the scan enters the map: not in doubt or held loosely where the map shows it."""
+        firm = self.evidence.weakness <= weakness(gate.firm * voxel_size_m)
+        sure = self.confidence >= gate.write
+        return (sure and firm) or (not self.tentative and self.evidence.overlap < gate.known)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A pose under judgement.
+
+    Attributes:
+        fit: the pose in the map.
+        evidence: what speaks for it.
+        verdict: confidence by the evidence, and faults.
+        reported: (4, 4) it at the instant that is asked for.
+        surprise: how far it is off the predicted one (`claim.surprise`).
+        rank: by which the best of several is chosen (`rank`).
+    """
+
+    fit: Fit
+    evidence: Evidence
+    verdict: Verdict
+    reported: F64
+    surprise: float = 0.0
+    rank: float = 0.0
+
+
+def rank(evidence: Evidence, verdict: Verdict, surprise: float, soon: bool) -> float:
+    """Order of the poses found for one scan: log odds by the evidence, less by distance.
+
+    How loosely a pose is held says how far off it may be, not which of two is the right one: a
+    wrong one is often the stiffer. So that does not count where the motion says where the scan is.
+
+    Args:
+        evidence: what speaks for the pose.
+        verdict: its confidence and faults; a pose with a fault comes last.
+        surprise: how far it is off the predicted one (`claim.surprise`).
+        soon: whether the scan follows the last one closely.
+    """
+    if verdict.fault is not None:
+        return -np.inf
+    firm = of_evidence(replace(evidence, weakness=FIRM)) if soon else verdict.confidence
+    return against_motion(firm, surprise)
+
+
+def against_motion(confidence: float, surprise: float) -> float:
+    """Log odds of a pose by the evidence, less by its distance from the predicted one.
+
+    Args:
+        confidence: by the evidence, [0, 1].
+        surprise: how far the pose is off the predicted one (`claim.surprise`); below 0 it does not
+            count, since then it is within what is usual.
+    """
+    return log_odds(confidence) - AGAINST * max(0.0, surprise)
+
+
+def located_by_kiss(found: Candidate, reason: Reason, tentative: bool = False) -> Located:
+    """A pose that kiss-icp made; its evidence is all that speaks for it."""
+    confidence = found.verdict.confidence
+    return Located(
+        found.fit, found.evidence, Source.KISS_ICP, reason, confidence, confidence,
+        surprise=found.surprise, rank=found.rank, tentative=tentative,
+    )  # fmt: skip
+
+
+def is_worth_it(
+    doubtful: Candidate, considered: Iterable[Candidate], voxel_size_m: float, accept: float
+) -> bool:
+    """Whether a pose that little speaks for is better than none.
+
+    One as expected is no worse than the prediction itself, unless the scan stands well elsewhere:
+    then the motion has changed.
+
+    Args:
+        doubtful: the best pose found.
+        considered: every pose that was judged for its scan.
+        voxel_size_m: voxel of the map; poses so far apart are different ones.
+        accept: confidence from which another one speaks against it.
+    """
+    pose = doubtful.fit.T_odom_sensor
+    return doubtful.surprise < 0.0 and rival(pose, considered, voxel_size_m, refused=True) < accept
+
+
+def better(one: Candidate | None, other: Candidate | None) -> Candidate | None:
+    """The one of higher rank; the first when they are equal."""
+    if one is None or other is None:
+        return one or other
+    return other if other.rank > one.rank else one
+
+
+def tried(way: Callable[[], Fit | None], check: Callable[[Fit], Candidate]) -> Candidate | None:
+    """Outcome of one way to register, judged; None when it cannot, or finds nothing new."""
+    try:
+        fit = way()
+        return None if fit is None else check(fit)
+    except RegistrationError as error:
+        _log.debug('fallback: %s', error)
+        return None
+
+
+_USUAL = 0.1
+"""Deviation from the prediction, in its units, below which less says nothing more."""
+
+
+_SUREST = 1e-3
+"""Confidences within this of 0 and 1 count alike."""
+
+
+def log_odds(confidence: float) -> float:
+    """Log odds of a confidence in [0, 1]."""
+    kept = min(max(confidence, _SUREST), 1.0 - _SUREST)
+    return float(np.log(kept / (1.0 - kept)))
+
+
+def surprise(pose: F64, expected: Expected | None, voxel_size_m: float) -> float:
+    """How far a pose is off the one that the motion so far predicts.
+
+    Things do jump, so that a far pose is possible; but a repeated structure (shelves, stairs,
+    fences) fits as well a period further on, and then nothing else speaks against it.
+
+    Args:
+        pose: (4, 4) the pose.
+        expected: where the motion so far leads, and how far predictions have been off of late;
+            None = the motion says nothing.
+        voxel_size_m: voxel of the map; as far as a turn of one degree.
+
+    Returns:
+        log10 of the deviation, shift and turn together, in units of a voxel (a degree) and the
+        usual deviation; 0 where no motion is known.
+    """
+    if expected is None or not expected.known:
+        return 0.0
+    usual = voxel_size_m + expected.shift_m, 1.0 + float(np.rad2deg(expected.turn_rad))
+    return float(np.log10(_USUAL + _apart(expected.pose, pose, *usual)))
+
+
+def rival(
+    pose: F64, considered: Iterable[Candidate], voxel_size_m: float, refused: bool = False
+) -> float:
+    """How plausible the surest pose is that another way led to.
+
+    Args:
+        pose: (4, 4) the pose that was chosen.
+        considered: every pose that was judged for its scan.
+        voxel_size_m: one so far off, or off by one degree, is a different pose; one nearer counts
+            by its distance.
+        refused: whether those that failed a check count too, by what speaks for them.
+
+    Returns:
+        Its confidence, [0, 1].
+    """
+    others = (
+        (of_evidence(c.evidence) if refused else c.verdict.confidence)
+        * min(1.0, _apart(pose, c.fit.T_odom_sensor, voxel_size_m, 1.0))
+        for c in considered
+    )
+    return max(others, default=0.0)
+
+
+def _apart(one: F64, other: F64, metres: float, degrees: float) -> float:
+    """Distance of two poses (4, 4), shift and turn together, each in its unit."""
+    off = se3.inverse(one) @ other
+    shift = float(np.linalg.norm(off[:3, 3])) / metres
+    return float(np.hypot(shift, se3.rotation_angle_deg(off[:3, :3]) / degrees))

@@ -1,0 +1,315 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Locator: which branch gives the pose of a scan, checked by what the scan sees there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybridreg_ros.odometry.registration import covariance
+from hybridreg_ros.odometry.registration.settle import settle
+from hybridreg_ros.odometry.result import Reason, Source
+from hybridreg_ros.odometry.selection import candidates, reported_confidence
+from hybridreg_ros.odometry.selection.candidates import (
+    Candidate,
+    Located,
+    better,
+    located_by_kiss,
+    tried,
+)
+from hybridreg_ros.odometry.selection.fallback import Fallback
+from hybridreg_ros.odometry.selection.pose_confidence import (
+    Evidence,
+    Gate,
+    Verdict,
+    judge,
+    weakness,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from hybridreg_ros.odometry.config import OdometryConfig
+    from hybridreg_ros.odometry.motion.prediction import Expected
+    from hybridreg_ros.odometry.network_branch import LearnedBranch, Proposal
+    from hybridreg_ros.odometry.preprocess import SensorModel
+    from hybridreg_ros.odometry.preprocessed import Cloud
+    from hybridreg_ros.odometry.registration.alignment import Fit
+    from hybridreg_ros.odometry.stopwatch import Watch
+    from hybridreg_ros.odometry.world import Scene
+
+    F64 = NDArray[np.float64]
+    F32 = NDArray[np.float32]
+
+_HEED = np.array([4.0, 2.0])
+"""Factors on the spread of shift and turn that the motion so far had, before a pose is held by it:
+things start and stop."""
+_TOLD_AGAIN = {'depth': 1.0, 'lidar': 6.66}
+"""Factor by which the registered points seem surer of a pose than they are (of a lidar, normals
+err alike over many): measured as what made poses amid scans consistent (NEES of 44)."""
+_FAR = 3.0
+"""A pose of the network farther off the expected one, in (widened) standard deviations, is refined
+without it."""
+_SOON_S = 0.15
+"""So soon after the last scan the motion says where this one is; later much can have happened."""
+_JUMP = 0.5
+"""A pose three times as far off the prediction as is usual, and out of reach, has jumped: it is
+taken only where that is more likely than not, all things considered."""
+_LEFT = 0.2
+"""A mask of the network that leaves less of the trusted points says that it recognises nothing,
+not that all of them move: poses are judged without it."""
+
+
+class Locator:
+    """The two branches behind one question: where is this scan?
+
+    Args:
+        config: settings.
+        sensor: what the sensor is.
+        scene: the map of both branches, keyframes, and what earlier scans saw.
+        learned: the network branch, or None.
+
+    Attributes:
+        judged: every pose that was considered for the last scan.
+    """
+
+    def __init__(
+        self, config: OdometryConfig, sensor: SensorModel, scene: Scene,
+        learned: LearnedBranch | None,
+    ) -> None:  # fmt: skip
+        self._config = config
+        self._voxel_m = sensor.voxel_size_m
+        self._scene = scene
+        self._learned = learned
+        self._fallback = Fallback(config, sensor, scene.map)
+        self._gate = Gate(config.gate)
+        self._no_network = (
+            Reason.REGISTRAR_KISS_ICP if config.registrar == 'kiss-icp' else Reason.NO_WEIGHTS
+        )
+        self._rigour = _TOLD_AGAIN[sensor.kind]
+        self._prior: Expected | None = None
+        self._reach_m: float | None = None
+        self.learn = self._fallback.learn
+        self.judged: list[Candidate] = []
+
+    def locate(
+        self,
+        cloud: Cloud,
+        expected: Expected,
+        last: F64,
+        trust: F32,
+        watch: Watch,
+    ) -> Located | Reason:
+        """Pose by the network when it is trusted, else by the fallback; or why there is none.
+
+        Args:
+            cloud: the preprocessed scan.
+            expected: pose by constant velocity.
+            last: (4, 4) last pose.
+            trust: (K,) weight per registered point.
+            watch: books the time per stage.
+        """
+        self.judged = []
+        self._prior = expected.widened(*(_HEED / self._rigour))
+        self._reach_m = min(expected.shift_m, self._prior.shift_m)
+        predicted = expected.pose
+        check = partial(self._judged, cloud, trust, expected)
+        guesses = [predicted, last]
+        if self._learned is None:
+            return self._by_fallback(cloud, guesses, trust, check, self._no_network)
+        first = None
+        if self._config.gate.network == 'in_doubt':
+            first = self._followed(cloud, predicted, trust, check)
+            watch.lap('refine')
+            if first is not None and self._without_doubt(first.verdict.confidence, first.evidence):
+                return located_by_kiss(first, Reason.NOT_NEEDED)
+        proposal = self._learned.propose(self._scene.keyframes.to_match(predicted), watch)
+        watch.lap('match')
+        if proposal is not None:  # its mask knows of those who came since the last scan
+            still = trust * (1.0 - proposal.uncertainty[cloud.icp_in_map])
+            if (still > 0.5).sum() >= _LEFT * (trust > 0.5).sum():
+                check = partial(self._judged, cloud, still, expected)
+                first = None if first is None else check(first.fit)
+        found = self._by_network(cloud, proposal, trust, check)
+        watch.lap('refine')
+        if isinstance(found, Reason):
+            return self._by_fallback(cloud, guesses, trust, check, found, first)
+        far = self._is_far(found.fit.T_odom_sensor)
+        if self._without_doubt(found.evident, found.evidence) and not far:
+            return found
+        # The network is confident, but the scan stands badly there, or it has jumped: ask for
+        # another opinion.
+        why = Reason.REFINEMENT_FAILED
+        other = self._by_fallback(cloud, guesses, trust, check, why, first)
+        return other if isinstance(other, Located) and other.rank > found.rank else found
+
+    def claim_of(self, found: Located) -> reported_confidence.Claim:
+        """What is known of the pose that was found for the last scan, all ways considered."""
+        return reported_confidence.of(found, self.judged, self._voxel_m)
+
+    def relocate(self, cloud: Cloud, last: F64) -> Located | Reason:
+        """Pose of a scan when the last pose says little: by the fallback, then by keyframes.
+
+        Args:
+            cloud: the preprocessed scan.
+            last: (4, 4) last pose before the loss.
+        """
+        trust = np.ones(len(cloud.icp_rows), np.float32)
+        self.judged, self._prior, self._reach_m = [], None, None
+        check = partial(self._judged, cloud, trust, None)
+        found = self._by_fallback(cloud, [last], trust, check, Reason.RECOVERED)
+        if isinstance(found, Located) and found.confidence >= self._config.fallback.good:
+            return found
+        if self._learned is not None:
+            for keyframe in self._scene.keyframes.nearest(last, self._config.lost.keyframes_tried):
+                proposal = self._learned.propose(keyframe)
+                by_network = self._by_network(cloud, proposal, trust, check)
+                if isinstance(by_network, Located):
+                    return by_network
+        if isinstance(found, Located) and found.confidence < self._config.gate.enter:
+            return Reason.LOW_CONFIDENCE
+        return found
+
+    def _without_doubt(self, confidence: float, evidence: Evidence) -> bool:
+        """Whether a pose is taken without a second opinion.
+
+        Confidence alone is not enough: at a wrong pose along walls most points find the map too.
+        """
+        sure = confidence >= self._config.fallback.sure
+        return sure and evidence.consistent >= self._config.gate.doubt
+
+    def _followed(
+        self, cloud: Cloud, predicted: F64, trust: F32, check: Callable[[Fit], Candidate]
+    ) -> Candidate | None:
+        """Fallback from the prediction, or None when it cannot register.
+
+        kiss-icp widens its search with the errors of all predictions so far, and then finds the
+        next shelf as well. So a pose far off the prediction must be better than what is found
+        close to it.
+        """
+        wide = tried(
+            partial(self._fallback.follow, cloud, predicted, trust, prior=self._prior), check
+        )
+        if wide is None or not self._is_far(wide.fit.T_odom_sensor):
+            return wide
+        return better(wide, tried(self._near(cloud, predicted, trust, wide), check))
+
+    def _near(
+        self, cloud: Cloud, predicted: F64, trust: F32, known: Candidate | None
+    ) -> Callable[[], Fit | None]:
+        """Way to register close to the prediction; it leads to nothing the second time."""
+        prior, reach_m, self._reach_m = self._prior, self._reach_m, None
+        if prior is None or reach_m is None:
+            return lambda: None
+        pose = None if known is None else known.fit.T_odom_sensor
+        return partial(self._fallback.follow_near, cloud, predicted, trust, prior, reach_m, pose)
+
+    def _is_far(self, pose: F64) -> bool:
+        """Whether a pose (4, 4) is far off the expected one for what predictions have been."""
+        return self._prior is not None and bool(np.abs(self._prior.off(pose)).max() > _FAR)
+
+    def _by_network(
+        self,
+        cloud: Cloud,
+        proposal: Proposal | None,
+        trust: F32,
+        check: Callable[[Fit], Candidate],
+    ) -> Located | Reason:
+        """The network's pose, refined in the map; or why it is not taken."""
+        if proposal is None or not self._gate.passes(proposal.confidence):
+            return Reason.LOW_CONFIDENCE
+        weights = trust * (1.0 - proposal.uncertainty[cloud.icp_in_map])
+        # One far off is an opinion of its own, not to be drawn to the expected pose.
+        prior = None if self._is_far(proposal.T_odom_sensor) else self._prior
+        start, settings = proposal.T_odom_sensor, self._config.refine
+        fit = settle(cloud, start, self._scene.map, settings, weights, 'middle', prior)
+        candidate = check(fit)
+        if candidate.verdict.fault is not None:
+            return candidate.verdict.fault
+        if candidate.verdict.confidence < self._config.fallback.accept:
+            return Reason.REFINEMENT_FAILED
+        return Located(
+            fit,
+            candidate.evidence,
+            Source.HYBRIDREG,
+            Reason.OK,
+            min(proposal.confidence, candidate.verdict.confidence),
+            candidate.verdict.confidence,
+            proposal.uncertainty,
+            candidate.surprise,
+            candidate.rank,
+        )
+
+    def _by_fallback(
+        self,
+        cloud: Cloud,
+        guesses: Sequence[F64],
+        trust: F32,
+        check: Callable[[Fit], Candidate],
+        reason: Reason,
+        first: Candidate | None = None,
+    ) -> Located | Reason:
+        """Fallback from the guesses; while in doubt, other ways and turned guesses. Best wins.
+
+        `first` is the outcome of following the prediction when that was tried already.
+        """
+        section = self._config.fallback
+        best = first or self._followed(cloud, guesses[0], trust, check)
+        if best is None or not self._without_doubt(best.verdict.confidence, best.evidence):
+            for way in self._other_ways(cloud, guesses, trust, best):
+                best = better(best, tried(way, check))
+                if best is not None and best.verdict.confidence >= section.good:
+                    break
+        if best is None:
+            return Reason.REFINEMENT_FAILED
+        if best.verdict.fault is not None:
+            return best.verdict.fault
+        if best.verdict.confidence < section.accept:
+            if not candidates.is_worth_it(best, self.judged, self._voxel_m, section.accept):
+                return Reason.LOW_CONFIDENCE
+            return located_by_kiss(best, Reason.LOW_CONFIDENCE, tentative=True)
+        return located_by_kiss(best, reason)
+
+    def _other_ways(
+        self, cloud: Cloud, guesses: Sequence[F64], trust: F32, first: Candidate | None
+    ) -> Iterator[Callable[[], Fit | None]]:
+        """Ways to register without a network where following the prediction leaves doubt.
+
+        A crowd that comes into view draws kiss-icp away from the pose by more than predictions
+        are usually off, and every guess ends there then; with near partners alone it does not.
+        """
+        fallback, prior = self._fallback, self._prior
+        yield self._near(cloud, guesses[0], trust, first)
+        yield partial(fallback.locate, cloud, guesses, trust, prior)
+        for guess in fallback.search(cloud, guesses[0]):
+            yield partial(fallback.locate, cloud, [guess], trust)
+
+    def _judged(self, cloud: Cloud, trust: F32, expected: Expected | None, fit: Fit) -> Candidate:
+        """A pose with what speaks for it, judged by the points that do not move."""
+        points = cloud.icp_with(fit.sway)[trust > 0.5]
+        spread = covariance.of_fit(fit, cloud.reported_s - cloud.instant_s, 1.0)
+        evidence = replace(
+            self._scene.sightings.evidence(points, fit.T_odom_sensor, fit.overlap),
+            weakness=weakness(covariance.weakest_m(spread)),
+        )
+        predicted, dt_s = (None, 0.0) if expected is None else (expected.pose, expected.seconds)
+        verdict = judge(
+            evidence, fit.T_odom_sensor, predicted, dt_s, self._voxel_m, self._config.gate
+        )
+        reported = cloud.reported(fit.T_odom_sensor, fit.sway)
+        off = candidates.surprise(fit.T_odom_sensor, expected, self._voxel_m)
+        if expected is not None and off > _JUMP and expected.is_out_of_reach(fit.T_odom_sensor):
+            unlikely = (
+                verdict.fault is None and candidates.against_motion(verdict.confidence, off) < 0.0
+            )
+            verdict = Verdict(0.0, Reason.DISAGREES_WITH_MOTION) if unlikely else verdict
+        order = candidates.rank(evidence, verdict, off, 0.0 < dt_s <= _SOON_S)
+        candidate = Candidate(fit, evidence, verdict, reported, off, order)
+        self.judged.append(candidate)
+        return candidate

@@ -1,0 +1,140 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Confidence: how far a pose is to be believed, and when the network branch is taken."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybridreg_ros.core import se3
+from hybridreg_ros.odometry.result import Reason
+from hybridreg_ros.odometry.selection import calibration
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hybridreg_ros.odometry.config import GateConfig
+
+
+_STIFF_M = 0.003
+"""Standard deviation, metres, below which a pose counts as held firmly."""
+FIRM = float(np.log10(_STIFF_M))
+"""Weakness of a pose that is held firmly."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What speaks for a pose.
+
+    Attributes:
+        overlap: share of the points with a surface of the map nearby, [0, 1].
+        seen: share of the points in directions that an earlier scan saw, [0, 1].
+        consistent: share of those that stand on what the earlier scan saw there, [0, 1].
+        before: share of those that stand before it, in space seen free, [0, 1]; the others stand
+            behind it.
+        weakness: log10 of the standard deviation, metres, that the information of the registration
+            leaves along the direction in which the position is held worst (`weakness`).
+    """
+
+    overlap: float
+    seen: float
+    consistent: float
+    before: float = 0.0
+    weakness: float = -2.5
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Judgement of one pose.
+
+    Attributes:
+        confidence: P(pose right), [0, 1].
+        fault: why the pose must not be used, or None.
+    """
+
+    confidence: float
+    fault: Reason | None
+
+
+def weakness(spread_m: float) -> float:
+    """Evidence of how loosely a pose is held along its worst direction.
+
+    Below some millimetres nothing is gained: a wrong pose in a room of clean planes is stiff too.
+
+    Args:
+        spread_m: standard deviation of the position there, metres.
+    """
+    return float(np.log10(max(spread_m, _STIFF_M)))
+
+
+def of_evidence(evidence: Evidence) -> float:
+    """Confidence of a pose that no network vouches for, [0, 1].
+
+    It grows with the share of points that stands where an earlier scan saw a surface, and falls
+    with the share that stands in space seen free and where the surfaces found leave a direction
+    loose. The weights come from `calibration.json`.
+    """
+    return calibration.packaged().evidence.probability(evidence)
+
+
+def judge(
+    evidence: Evidence,
+    pose: NDArray[np.float64],
+    predicted: NDArray[np.float64] | None,
+    dt_s: float,
+    voxel_size_m: float,
+    gate: GateConfig,
+) -> Verdict:
+    """Judge a pose by what it explains and by its agreement with the motion so far.
+
+    Args:
+        evidence: what speaks for it.
+        pose: (4, 4) the pose.
+        predicted: (4, 4) pose by constant velocity, None when the motion says nothing.
+        dt_s: seconds since the last pose.
+        voxel_size_m: voxel of the map.
+        gate: limits.
+    """
+    if not (evidence.overlap >= gate.min_overlap and evidence.seen >= gate.min_seen):
+        return Verdict(0.0, Reason.NO_OVERLAP)
+    if not evidence.consistent >= gate.min_consistent:
+        return Verdict(0.0, Reason.REFINEMENT_FAILED)
+    confidence = of_evidence(evidence)
+    surprising = predicted is not None and not agrees(pose, predicted, dt_s, voxel_size_m, gate)
+    if surprising and confidence < gate.against_motion:
+        return Verdict(0.0, Reason.DISAGREES_WITH_MOTION)
+    return Verdict(confidence, None)
+
+
+def agrees(
+    pose: NDArray[np.float64],
+    predicted: NDArray[np.float64],
+    dt_s: float,
+    voxel_size_m: float,
+    gate: GateConfig,
+) -> bool:
+    """Whether a pose is within reach of the predicted one."""
+    deviation = se3.inverse(predicted) @ pose
+    limit = gate.max_jump_m or 5.0 * voxel_size_m + 3.0 * max(dt_s, 0.0)
+    near = float(np.linalg.norm(deviation[:3, 3])) <= limit
+    return near and se3.rotation_angle_deg(deviation[:3, :3]) <= gate.max_jump_deg
+
+
+class Gate:
+    """Opens for the network branch at `enter`, closes below `leave`: no flutter in between.
+
+    Attributes:
+        open: whether the last scan was let through.
+    """
+
+    def __init__(self, config: GateConfig) -> None:
+        self._config = config
+        self.open = True
+
+    def passes(self, confidence: float) -> bool:
+        """Whether a network pose of this confidence is taken; remembers it."""
+        self.open = confidence >= (self._config.leave if self.open else self._config.enter)
+        return self.open

@@ -1,0 +1,120 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Sightings: what earlier scans saw of what stands still, as evidence about a pose."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybridreg_ros.core import se3
+from hybridreg_ros.odometry.selection.pose_confidence import Evidence
+from hybridreg_ros.odometry.visibility.range_image import (
+    BEHIND,
+    FRONT,
+    ON,
+    UNSEEN,
+    RangeImage,
+    View,
+    view_of,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hybridreg_ros.odometry.preprocess import SensorModel
+    from hybridreg_ros.odometry.preprocessed import Cloud
+
+_OTHERS = 3
+_TURN_M = 3.0
+"""Metres of way that count as much as a radian of turn, when the nearest images are chosen."""
+_SLACK, _SLACK_SHARE = 0.25, 0.0075
+"""How far a point may be off a seen surface and still be on it: voxels, and share of the range."""
+
+
+class Sightings:
+    """Range images of the still points of the last accepted scan and of the keyframes.
+
+    Movers are not drawn: what stood right before the camera says nothing about what is behind.
+
+    Args:
+        sensor: kind and voxel size.
+        memory: keyframes whose images are kept.
+    """
+
+    def __init__(self, sensor: SensorModel, memory: int = 50) -> None:
+        self._slack_m = _SLACK * sensor.voxel_size_m
+        self._kind = sensor.kind
+        self._view: View | None = None
+        self._last: RangeImage | None = None
+        self._keyframes: deque[RangeImage] = deque(maxlen=memory)
+
+    def draw(
+        self,
+        cloud: Cloud,
+        pose: NDArray[np.float64],
+        still: NDArray[np.bool_] | None = None,
+    ) -> RangeImage:
+        """Range image of a cloud at a pose; the first cloud decides the view.
+
+        Args:
+            cloud: the preprocessed scan.
+            pose: (4, 4) its pose.
+            still: (N,) the points to draw; None for all.
+        """
+        rows = np.flatnonzero(cloud.usable if still is None else cloud.usable & still)
+        if self._view is None:
+            self._view = view_of(cloud.points[rows], self._kind)
+        return RangeImage(cloud.points, self._view, pose, rows)
+
+    def keep(self, image: RangeImage, is_keyframe: bool) -> None:
+        """Compare later scans with this one."""
+        self._last = image.paged() if is_keyframe else image
+        if is_keyframe:
+            self._keyframes.append(self._last)
+
+    def clear(self) -> None:
+        """Forget all images; the view stays."""
+        self._last = None
+        self._keyframes.clear()
+
+    def evidence(
+        self, points: NDArray[np.float32], pose: NDArray[np.float64], overlap: float
+    ) -> Evidence:
+        """What speaks for a pose of points (K, 3), sensor frame.
+
+        The last scan is asked first; of points that it did not see or that something hid from it
+        the keyframes nearest to the pose are asked.
+        """
+        if self._last is None or len(points) == 0:
+            return Evidence(overlap, 0.0, 0.0)
+        stand = self._against(self._last, points, pose)
+        for image in self._nearest(pose):
+            open_ = np.flatnonzero((stand == UNSEEN) | (stand == BEHIND))
+            if len(open_) == 0:
+                break
+            other = self._against(image, points[open_], pose)
+            stand[open_] = np.where(other == UNSEEN, stand[open_], other)
+        seen = int((stand != UNSEEN).sum())
+        on, front = int((stand == ON).sum()), int((stand == FRONT).sum())
+        share = 1.0 / max(1, seen)
+        return Evidence(overlap, seen / len(points), on * share, front * share)
+
+    def _nearest(self, pose: NDArray[np.float64]) -> list[RangeImage]:
+        """The keyframes nearest to a pose, without the last scan."""
+        others = [image for image in self._keyframes if image is not self._last]
+        return sorted(others, key=lambda image: _apart_m(image.T_odom_sensor, pose))[:_OTHERS]
+
+    def _against(
+        self, image: RangeImage, points: NDArray[np.float32], pose: NDArray[np.float64]
+    ) -> NDArray[np.int8]:
+        return image.stand(points, pose, self._slack_m, _SLACK_SHARE)
+
+
+def _apart_m(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    """How far apart two poses are, turns included, metres."""
+    delta = se3.inverse(one) @ other
+    turn = np.deg2rad(se3.rotation_angle_deg(delta[:3, :3]))
+    return float(np.linalg.norm(delta[:3, 3])) + _TURN_M * float(turn)

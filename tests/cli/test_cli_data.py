@@ -12,7 +12,8 @@ import pytest
 
 from hybridreg_ros.benchmark import bench_data
 from hybridreg_ros.cli.main import main
-from hybridreg_ros.data.hybridmatch.room_pairs import SPLITS, splits_work
+from hybridreg_ros.data.hybridmatch import splits_work
+from hybridreg_ros.data.hybridmatch.room_pairs import SPLITS
 from hybridreg_ros.data.hybridmatch.shards import encode_pair, open_split, write_shard
 from hybridreg_ros.data.hybridmatch.take import Sample
 from hybridreg_ros.data.loaders.posed_frames import recorded_pair

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from hybridreg_ros.core.errors import FileFormatError
+from hybridreg_ros.data.loaders import lzf
 from hybridreg_ros.data.loaders.clouds import read_cloud
-from hybridreg_ros.data.loaders.posed_frames import lzf
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,8 +11,9 @@ import pytest
 from test_shards import tiny
 
 from hybridreg_ros.core.errors import ConfigError, FileFormatError
+from hybridreg_ros.data.hybridmatch import splits_work
 from hybridreg_ros.data.hybridmatch.overview import draw_overview, overview_table, read_overview
-from hybridreg_ros.data.hybridmatch.room_pairs import SPLITS, splits_work
+from hybridreg_ros.data.hybridmatch.room_pairs import SPLITS
 from hybridreg_ros.data.hybridmatch.splits import (
     SEEDS_PER_SPLIT,
     first_seed,

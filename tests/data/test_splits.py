@@ -19,7 +19,7 @@ import pytest
 from test_shards import tiny
 
 from hybridreg_ros.core.errors import ConfigError, DependencyError, FileFormatError, HybridRegError
-from hybridreg_ros.data.hybridmatch.room_pairs import splits, splits_work
+from hybridreg_ros.data.hybridmatch import splits, splits_work
 from hybridreg_ros.data.hybridmatch.shards import open_split
 from hybridreg_ros.data.hybridmatch.splits import generate, generate_split, seed_range
 from hybridreg_ros.data.hybridmatch.splits_summary import read_summary

@@ -7,7 +7,8 @@ from __future__ import annotations
 import numpy as np
 
 from hybridreg_ros.odometry.config import DynamicsConfig
-from hybridreg_ros.odometry.dynamics.classifier import Dynamics, objects, segments
+from hybridreg_ros.odometry.dynamics import objects, segments
+from hybridreg_ros.odometry.dynamics.classifier import Dynamics
 from hybridreg_ros.odometry.map.local_map import VoxelLevel
 from hybridreg_ros.odometry.map.thinning import first_per_voxel, means_of, occupied, voxel_of
 from hybridreg_ros.odometry.preprocess import SensorModel, certainty

@@ -74,10 +74,20 @@ def random_rotation(rng: Rng) -> F64:
 
 
 def common_rotation(config: AugmentConfig, rng: Rng) -> F64:
-    """Rotation (3, 3) that both clouds get."""
+    """Rotation (3, 3) that both clouds get: any, or about the vertical and tilted, or small."""
     if rng.random() < config.any_rotation_share:
         return random_rotation(rng)
-    return se3.so3_exp(rng.normal(0.0, 1.0, 3) * config.common_rotation_rad)
+    yaw = config.yaw_share > 0.0 and rng.random() < config.yaw_share
+    tilt = config.tilt_share > 0.0 and rng.random() < config.tilt_share
+    if not yaw and not tilt:
+        return se3.so3_exp(rng.normal(0.0, 1.0, 3) * config.common_rotation_rad)
+    R: F64 = np.eye(3)
+    if yaw:
+        R = se3.so3_exp(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)]))
+    if tilt:
+        along, angle = rng.uniform(-np.pi, np.pi), np.deg2rad(rng.uniform(0.0, config.tilt_deg))
+        R = se3.so3_exp(angle * np.array([np.cos(along), np.sin(along), 0.0])) @ R
+    return R
 
 
 def relative_motion(points: F32, config: AugmentConfig, rng: Rng) -> F64:

@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from hybridreg_ros.core.config import option, validate
+from hybridreg_ros.core.errors import ConfigError
 
 
 @dataclass(frozen=True)
@@ -16,8 +17,15 @@ class AugmentConfig:
     any_rotation_share: float = option(
         0.5, 'share of pairs whose two clouds both get the same rotation, any', low=0.0, high=1.0
     )
+    yaw_share: float = option(
+        0.0, 'share of the others turned about the vertical (z), any angle', low=0.0, high=1.0
+    )
+    tilt_share: float = option(
+        0.0, 'share of the others tilted about a random horizontal axis', low=0.0, high=1.0
+    )
+    tilt_deg: float = option(25.0, 'largest such tilt, degrees', low=0.0, high=180.0)
     common_rotation_rad: float = option(
-        0.2, 'rotation of both clouds of the others, standard deviation per axis, rad', low=0.0
+        0.2, 'rotation of both clouds of the rest, standard deviation per axis, rad', low=0.0
     )
     relative_rotation_rad: float = option(
         0.2, 'extra rotation of one cloud, standard deviation per axis, rad', low=0.0, high=3.2
@@ -112,6 +120,56 @@ class LossConfig:
 
 
 @dataclass(frozen=True)
+class StreamConfig:
+    """Pairs that are generated while the run goes on, each with its own seed."""
+
+    kinds: tuple[str, ...] = option(
+        (), 'kinds generated beside the trainer, such as room-train; empty = read `data` instead'
+    )
+    shares: tuple[float, ...] = option((), 'share of pairs of each kind; empty = equal', low=0.0)
+    first_seed: int = option(2_000_000, 'first scene seed', low=0, high=2_999_999)
+    uses: int = option(2, 'how often a pair may be used', low=1, high=16)
+    window: int = option(64, 'scenes from which pairs are drawn at a time, oldest first', low=1)
+    buffer_mb: float = option(
+        256.0, 'size of the pairs that wait on disk; the generator stops there', low=0.1
+    )
+    workers: int = option(1, 'generating processes', low=1, high=64)
+
+    def __post_init__(self) -> None:
+        """Check ranges.
+
+        Raises:
+            ConfigError: a value is out of its range.
+        """
+        validate(self)
+
+
+@dataclass(frozen=True)
+class BudgetConfig:
+    """Size of the clouds in training: the voxel of a pair follows a budget of points."""
+
+    fewest_points: int = option(
+        0, 'smallest budget drawn for a pair (log-uniform); 0 = one voxel, thinned', low=0
+    )
+    most_points: int = option(8000, 'largest budget drawn', low=100)
+    max_superpoints: int = option(256, 'superpoints a cloud may have at any budget', low=8)
+    validation_points: int = option(5000, 'budget of the validation pairs', low=100)
+
+    def __post_init__(self) -> None:
+        """Check ranges.
+
+        Raises:
+            ConfigError: a value is out of its range.
+        """
+        validate(self)
+        if self.fewest_points > self.most_points:
+            raise ConfigError(
+                f'fewest_points: expected at most most_points = {self.most_points}, found '
+                f'{self.fewest_points}'
+            )
+
+
+@dataclass(frozen=True)
 class TrainConfig:
     """A training run."""
 
@@ -159,6 +217,8 @@ class TrainConfig:
     validation_pairs: int = option(72, 'validation pairs used', low=1)
     checkpoint_minutes: float = option(3.0, 'time between checkpoints', low=0.0)
     log_every: int = option(20, 'steps averaged in a line of log.csv', low=1)
+    stream: StreamConfig = option(StreamConfig, 'pairs generated while the run goes on')
+    budget: BudgetConfig = option(BudgetConfig, 'voxel by a budget of points')
     loss: LossConfig = option(LossConfig, 'loss terms')
     augment: AugmentConfig = option(AugmentConfig, 'augmentation')
 

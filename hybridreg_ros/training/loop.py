@@ -24,6 +24,7 @@ from hybridreg_ros.model.checkpoint import load_network, save_network
 from hybridreg_ros.model.config import ModelConfig
 from hybridreg_ros.model.network.network import HybridRegNet
 from hybridreg_ros.training import optim
+from hybridreg_ros.training.generator import Generator
 from hybridreg_ros.training.samples import SampleStream, loader, to_device
 from hybridreg_ros.training.step import LossTerms, pair_losses
 from hybridreg_ros.training.validation import Validation, ValidationSet
@@ -59,7 +60,8 @@ def train(config: TrainConfig) -> Progress:
     """Run, or continue, the training that a config describes; returns where it stands at the end.
 
     In `config.out`: `config.yaml`, `log.csv`, `validation.csv`, `state.pt` (to resume),
-    `last.safetensors` and `best.safetensors` (averaged weights; each can start a new run alone).
+    `last.safetensors` and `best.safetensors` (averaged weights; each can start a new run alone),
+    and `stream/`, the pairs that wait to be used, if the config asks for a stream.
 
     Raises:
         HybridRegError: bad data folders, weights or configuration.
@@ -68,7 +70,8 @@ def train(config: TrainConfig) -> Progress:
     with _one_flushing_thread(config.device):
         run = Run(config, rank, world)
         run.resume()
-        run.loop()
+        with run.generating():
+            run.loop()
         return run.progress
 
 
@@ -104,6 +107,18 @@ class Run:
         self.validation = ValidationSet(config, self.network.config, rank, world)
         if rank == 0:
             (self.out / 'config.yaml').write_text(dump_yaml(config), encoding='utf-8')
+
+    @contextlib.contextmanager
+    def generating(self) -> Iterator[None]:
+        """A generating process beside this one, if the config asks for a stream of pairs."""
+        if self.rank or not self.config.stream.kinds:
+            yield
+            return
+        generator = Generator(self.out / 'stream', self.config.stream)
+        try:
+            yield
+        finally:
+            generator.stop()
 
     def loop(self) -> None:
         """Train until the schedule ends."""

@@ -16,6 +16,7 @@ import signal
 import threading
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,8 +28,10 @@ from hybridreg_ros.core.nested import mapped
 from hybridreg_ros.data.pair import Label
 from hybridreg_ros.model.geometry.pyramid import Pyramid, build_pyramid, voxel_transform
 from hybridreg_ros.training.augment import augment
+from hybridreg_ros.training.budget import Budget
 from hybridreg_ros.training.labels import PairLabels, Patches, pair_labels
 from hybridreg_ros.training.sources import ShardSource
+from hybridreg_ros.training.stream import PairStream
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -62,7 +65,11 @@ class Sample:
 
 
 def prepare(
-    pair: PointPair, model: ModelConfig, loss: LossConfig, rng: np.random.Generator
+    pair: PointPair,
+    model: ModelConfig,
+    loss: LossConfig,
+    rng: np.random.Generator,
+    budget: Budget | None = None,
 ) -> Sample:
     """Pyramids and labels of a pair.
 
@@ -71,11 +78,14 @@ def prepare(
         model: sizes of the network.
         loss: radii and limits of the labels.
         rng: draws patch pairs and anchors.
+        budget: the voxel follows it; None keeps that of the network.
 
     Raises:
         RegistrationError: a cloud has too few points.
     """
     voxel_m = model.voxel_factor * pair.voxel_size_m
+    if budget is not None:
+        voxel_m, model = budget.voxel_m(pair, model), budget.caps(model)
     source = build_pyramid(pair.source, voxel_m, model)
     target = build_pyramid(pair.target, voxel_m, model)
     labels = pair_labels(
@@ -149,22 +159,45 @@ class SampleStream(IterableDataset[Sample]):
         torch.set_num_threads(1)
         info = get_worker_info()
         first, stride = (0, 1) if info is None else (info.id, info.num_workers)
-        source = ShardSource(self._config.data, self._config.shares)
+        source = self._source(first, stride)
         for index in itertools.count(self._start + first, stride):
             yield self.sample(source, index * self._world + self._rank)
 
-    def sample(self, source: ShardSource, number: int) -> Sample:
+    def _source(self, worker: int, workers: int) -> ShardSource | PairStream:
+        config = self._config
+        if not config.stream.kinds:
+            return ShardSource(config.data, config.shares)
+        return PairStream(
+            Path(config.out) / 'stream',
+            config.stream,
+            config.seed,
+            reader=self._rank * workers + worker,
+            readers=self._world * workers,
+        )
+
+    def sample(self, source: ShardSource | PairStream, number: int) -> Sample:
         """Sample of a number; a pair that cannot be used is replaced by the next draw."""
         rng = np.random.default_rng([self._config.seed, number])
         while True:
-            pair = self._draw(source, number, rng)
-            pair = augment(pair, self._config.augment, rng)
+            if isinstance(source, PairStream):
+                pair, rng = source.draw(number), np.random.default_rng([self._config.seed, number])
+            else:
+                pair = self._draw(source, number, rng)
             try:
-                made = prepare(pair, self._model, self._config.loss, rng)
+                return self.sample_of(pair, rng)
             except RegistrationError as error:
                 _LOG.warning('pair %s left out: %s', pair.name, error)
-                continue
-            return dataclasses.replace(made, pair=_without_points(pair))
+
+    def sample_of(self, pair: PointPair, rng: np.random.Generator) -> Sample:
+        """A sample of a pair, which decides it together with `rng`.
+
+        Raises:
+            RegistrationError: a cloud has too few points.
+        """
+        pair = augment(pair, self._config.augment, rng)
+        budget = Budget.drawn(self._config.budget, rng)
+        made = prepare(pair, self._model, self._config.loss, rng, budget)
+        return dataclasses.replace(made, pair=_without_points(pair))
 
     def _draw(self, source: ShardSource, number: int, rng: np.random.Generator) -> PointPair:
         """A random pair; early in a run those with much overlap only (as far as there are any).

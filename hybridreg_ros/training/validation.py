@@ -22,6 +22,7 @@ from hybridreg_ros.model.encoded import EncodedCloud
 from hybridreg_ros.model.network.superpoints import select_pairs
 from hybridreg_ros.model.pose.verify import view_of
 from hybridreg_ros.model.register import HybridReg
+from hybridreg_ros.training.budget import Budget
 from hybridreg_ros.training.report import (
     INDOOR_THRESHOLD_M,
     INDOOR_VOXEL_M,
@@ -97,7 +98,10 @@ class ValidationSet:
             c = self._config
             pairs = held_out_pairs(c.validation, c.validation_pairs)[self._rank :: self._world]
             rng = np.random.default_rng(0)
-            self._held_out = [HeldOut.of(prepare(p, self._model, c.loss, rng)) for p in pairs]
+            budget = Budget.validating(c.budget)
+            self._held_out = [
+                HeldOut.of(prepare(p, self._model, c.loss, rng, budget)) for p in pairs
+            ]
         return self._held_out
 
 

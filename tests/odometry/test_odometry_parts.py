@@ -24,7 +24,7 @@ from hybridreg_ros.odometry.intake import Intake
 from hybridreg_ros.odometry.keyframes import Keyframes
 from hybridreg_ros.odometry.map.local_map import LocalMap
 from hybridreg_ros.odometry.map.thinning import first_per_voxel
-from hybridreg_ros.odometry.motion.prediction import Motion, covariance
+from hybridreg_ros.odometry.motion.prediction import Motion
 from hybridreg_ros.odometry.preprocess import (
     believable,
     deskew,
@@ -32,6 +32,7 @@ from hybridreg_ros.odometry.preprocess import (
     preprocess,
     recognise_sensor,
 )
+from hybridreg_ros.odometry.registration import covariance
 from hybridreg_ros.odometry.registration.alignment import assess, refine
 from hybridreg_ros.odometry.result import LOST_VARIANCE, Reason
 from hybridreg_ros.odometry.selection.pose_confidence import (

@@ -18,8 +18,9 @@ from hybridreg_ros.odometry.config import OdometryConfig, RefineConfig
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.map.local_map import LocalMap
 from hybridreg_ros.odometry.motion.intra_scan_motion import NO_SWAY, Sway
-from hybridreg_ros.odometry.motion.prediction import Expected, Start, covariance
+from hybridreg_ros.odometry.motion.prediction import Expected, Start
 from hybridreg_ros.odometry.preprocess import preprocess, recognise_sensor
+from hybridreg_ros.odometry.registration import covariance
 from hybridreg_ros.odometry.registration.alignment import refine
 from hybridreg_ros.odometry.registration.scan_continuity import Trail
 

@@ -126,10 +126,11 @@ def _start_worker() -> None:
     """Run politely (low priority, one thread), and never outlive the process that asked."""
     os.environ['OMP_NUM_THREADS'] = '1'
     os.nice(5)
-    threading.Thread(target=_follow_parent, daemon=True).start()
+    threading.Thread(target=follow_parent, daemon=True).start()
 
 
-def _follow_parent() -> None:
+def follow_parent() -> None:
+    """Kill this process as soon as the one that started it is gone; blocks until then."""
     parent = parent_process()
     if parent is not None:
         parent.join()

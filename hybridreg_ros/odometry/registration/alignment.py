@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.odometry.motion import intra_scan_motion
 from hybridreg_ros.odometry.motion.intra_scan_motion import NO_SWAY, Sway
-from hybridreg_ros.odometry.registration import kernels
+from hybridreg_ros.odometry.registration import intra_scan_update, kernels
 from hybridreg_ros.odometry.registration.cluster_covariance import scatter
 from hybridreg_ros.odometry.registration.maturity import by_age
 from hybridreg_ros.odometry.registration.surfaces import Surfaces
@@ -119,12 +118,12 @@ def _with_sway(
         for _ in range(2):
             surfaces.measure(moved, T)
             scale = surfaces.scales(order, low, level.size_m)
-            sums = intra_scan_motion.moments(
+            sums = intra_scan_update.moments(
                 moved, times, lasting, T[:3, :3].copy(), T[:3, 3].copy(), surfaces.kind,
                 surfaces.anchor, surfaces.normal, surfaces.variance, scale,
                 (_POINT_SPREAD * level.size_m) ** 2,
             )  # fmt: skip
-            T, found, length = intra_scan_motion.update(found, T, sums, half_span, config, prior)
+            T, found, length = intra_scan_update.update(found, T, sums, half_span, config, prior)
             moved = found.undo(points, times)
             step = max(step, length)
         if step < 0.02:
@@ -295,7 +294,7 @@ def _iterate(
                 weight, pull = prior.pull(T)
                 H[np.arange(6), np.arange(6)] += weight
                 b += pull
-            step = intra_scan_motion.solve(H, b)
+            step = intra_scan_update.solve(H, b)
             T = T.copy()
             T[:3, :3] = se3.so3_exp(step[3:]) @ T[:3, :3]
             T[:3, 3] += step[:3]

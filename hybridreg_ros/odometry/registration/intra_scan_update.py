@@ -1,0 +1,153 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+# ruff: noqa: D417, PLR0913, PLR0917 (kernels take plain arrays, named in `VoxelLevel`)
+"""The motion within a scan found together with its pose: moments, update, solution."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+
+from hybridreg_ros.core import se3
+from hybridreg_ros.odometry.motion.intra_scan_motion import Sway
+from hybridreg_ros.odometry.registration.kernels import NONE, PLANE
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hybridreg_ros.odometry.config import RefineConfig
+    from hybridreg_ros.odometry.motion.prediction import Expected
+
+    F64 = NDArray[np.float64]
+
+
+_jit = numba.njit(cache=True, nogil=True)
+
+_TURNING = (np.deg2rad(0.4), np.deg2rad(18.0))
+"""Limits of the standard deviation of the angular velocity within a scan, rad/s."""
+
+
+def update(
+    sway: Sway,
+    T_odom_sensor: F64,
+    sums: tuple[F64, F64],
+    half_span_s: float,
+    config: RefineConfig,
+    prior: Expected | None = None,
+) -> tuple[F64, Sway, float]:
+    """One Gauss-Newton step of pose and sway.
+
+    Args:
+        sway: the present one.
+        T_odom_sensor: (4, 4) the present pose at the instant of the cloud.
+        sums: as `moments` gives them.
+        half_span_s: half the duration of the scan, seconds.
+        config: how much the velocity may change during a scan.
+        prior: pose that the motion so far expects, or None.
+
+    Returns:
+        The pose (4, 4), the sway, and the length of the step in units of what the priors allow.
+    """
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = turn[3:, 3:] = T_odom_sensor[:3, :3]
+    H, b = np.zeros((18, 18)), np.zeros(18)
+    for i in range(3):
+        b[6 * i : 6 * i + 6] = turn.T @ sums[1][i]
+        for j in range(3):
+            H[6 * i : 6 * i + 6, 6 * j : 6 * j + 6] = turn.T @ sums[0][i + j] @ turn
+    if prior is not None:
+        weight, pull = prior.pull(T_odom_sensor)  # alike along all axes, so turning keeps it
+        H[np.arange(6), np.arange(6)] += weight
+        b[:6] += turn.T @ pull
+    turning = np.full(3, np.deg2rad(config.sway_turn_deg))
+    if prior is not None and prior.turn_rate.any() and config.sway_follow > 0.0:
+        turning = np.clip(config.sway_follow * prior.turn_rate, *_TURNING)
+    spread = np.concatenate([np.full(3, config.sway_speed), turning])
+    for order, known in ((1, sway.rate), (2, sway.bend)):
+        weight = (half_span_s ** (order - 1) / spread) ** 2
+        rows = np.arange(6 * order, 6 * order + 6)
+        H[rows, rows] += weight
+        b[rows] += weight * known
+    if prior is not None and prior.start is not None:
+        information, gradient = prior.start.pull(T_odom_sensor, sway)
+        H += information
+        b += gradient
+    step = solve(H, b)
+    T = T_odom_sensor @ se3.transform(se3.so3_exp(step[3:6]), step[:3])
+    moved = float(np.abs(step[6:12] / spread).max())
+    return T, Sway(sway.rate + step[6:12], sway.bend + step[12:], H), moved
+
+
+def solve(H: F64, b: F64) -> F64:
+    """Solution of H step = -b in the directions that the points hold; zero along the others."""
+    unit = np.sqrt(np.maximum(np.diag(H), 1e-12))
+    values, vectors = np.linalg.eigh(H / np.outer(unit, unit))
+    held = values > 1e-4
+    projected = np.where(held, (vectors.T @ (-b / unit)) / np.where(held, values, 1.0), 0.0)
+    step: F64 = (vectors @ projected) / unit
+    return step
+
+
+@_jit
+def moments(points, times, weights, R, t, kind, anchor, normal, var, scale, point_var):  # type: ignore[no-untyped-def]
+    """Sums of the robust cost over powers of the time of each point.
+
+    The unknowns are, per power, a shift (3,) of the position and a turn (3,) about the sensor, in
+    the axes of the map; residuals are weighted as in `align.normal_equations`.
+
+    Args:
+        points: (N, 3) float64, sensor frame, as carried to the instant.
+        times: (N,) seconds after the instant.
+        weights: (N,) trust per point, [0, 1].
+        scale: (N,) standard deviation of a good plane residual, metres.
+        point_var: variance of a point-to-point residual, m^2.
+
+    Returns:
+        (5, 6, 6) sums of w s^k J J^T, and (3, 6) sums of w s^k J r.
+    """
+    H = np.zeros((5, 6, 6))
+    b = np.zeros((3, 6))
+    J = np.zeros(6)
+    for row in range(len(points)):
+        if kind[row] == NONE or weights[row] <= 0.0:
+            continue
+        px, py, pz = points[row, 0], points[row, 1], points[row, 2]
+        ax = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz
+        ay = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz
+        az = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz
+        dx = ax + t[0] - anchor[row, 0]
+        dy = ay + t[1] - anchor[row, 1]
+        dz = az + t[2] - anchor[row, 2]
+        plane = kind[row] == PLANE
+        for axis in range(1 if plane else 3):
+            if plane:
+                nx, ny, nz = normal[row, 0], normal[row, 1], normal[row, 2]
+                variance = scale[row] * scale[row] + var[row]
+                r = dx * nx + dy * ny + dz * nz
+                total = r * r
+            else:
+                nx = 1.0 if axis == 0 else 0.0
+                ny = 1.0 if axis == 1 else 0.0
+                nz = 1.0 if axis == 2 else 0.0
+                variance = point_var
+                r = dx * nx + dy * ny + dz * nz
+                total = dx * dx + dy * dy + dz * dz
+            kernel = 9.0 * variance / (9.0 * variance + total)
+            w = weights[row] * kernel * kernel / variance
+            J[0], J[1], J[2] = nx, ny, nz
+            J[3], J[4], J[5] = ay * nz - az * ny, az * nx - ax * nz, ax * ny - ay * nx
+            for k in range(5):
+                for i in range(6):
+                    for j in range(i, 6):
+                        H[k, i, j] += w * J[i] * J[j]
+                    if k < 3:
+                        b[k, i] += w * J[i] * r
+                w *= times[row]
+    for k in range(5):
+        for i in range(6):
+            for j in range(i):
+                H[k, i, j] = H[k, j, i]
+    return H, b

@@ -25,7 +25,7 @@ ALLOWED = {
     'odometry': {'core', 'model'},
     'training': {'core', 'data', 'metrics', 'model', 'odometry'},
     'replay': {'core', 'data', 'metrics', 'model', 'odometry'},
-    'benchmark': {'core', 'data', 'metrics', 'model', 'odometry', 'replay', 'training', 'cli'},
+    'benchmark': {'core', 'data', 'metrics', 'model', 'odometry', 'replay', 'training'},
     'ros': {'core', 'model', 'odometry'},
     'cli': {
         'core',

@@ -8,11 +8,11 @@ import resource
 import sys
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from hybridreg_ros.cli.common import progress, write_result
 from hybridreg_ros.core import provenance
 from hybridreg_ros.core.errors import HybridRegError
+from hybridreg_ros.core.progress import progress
 from hybridreg_ros.data.hybridmatch.room_pairs import SCENES, SPLITS, TRAIN, make_samples
 from hybridreg_ros.data.hybridmatch.splits_work import Block, make_block
 from hybridreg_ros.data.meshes.raycast import CLOCK
@@ -50,8 +50,8 @@ class DataCost:
     peak_mb: float
 
 
-def run(args: argparse.Namespace) -> int:
-    """Measure and print."""
+def run(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
+    """Measure; returns the text to print and the figures."""
     splits = (*(f'{scene}-{TRAIN}' for scene in SCENES), *SPLITS)
     make_samples('room-match-rigid', SEED - 1)  # imports and caches are not what is measured
     make_samples('street-match-rigid', SEED - 1)
@@ -64,10 +64,8 @@ def run(args: argparse.Namespace) -> int:
          f'{c.peak_mb:.0f}']
         for c in costs
     ]  # fmt: skip
-    print('processor time of one process; two cores make twice as many pairs')
-    print(text_table(rows))
-    write_result(args, {'costs': costs, 'provenance': provenance.collect(seed=SEED).to_dict()})
-    return 0
+    text = 'processor time of one process; two cores make twice as many pairs\n' + text_table(rows)
+    return text, {'costs': costs, 'provenance': provenance.collect(seed=SEED).to_dict()}
 
 
 def cost_of(split: str, pairs: int) -> DataCost:

@@ -8,11 +8,11 @@ import resource
 import statistics
 import time
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hybridreg_ros.cli.common import progress, write_result
+from hybridreg_ros.core.progress import progress
 from hybridreg_ros.replay.report_tables import text_table
 
 if TYPE_CHECKING:
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     Cloud = NDArray[np.float32]
 
 
-def run(args: argparse.Namespace, source: Cloud, target: Cloud) -> int:
-    """Measure in turns, so that a busy machine is busy for all, and print the ratios."""
+def run(args: argparse.Namespace, source: Cloud, target: Cloud) -> tuple[str, dict[str, Any]]:
+    """Measure in turns, so that a busy machine is busy for all; text to print, and figures."""
     import torch
 
     torch.set_num_threads(args.threads)
@@ -63,14 +63,12 @@ def run(args: argparse.Namespace, source: Cloud, target: Cloud) -> int:
         ]
         for name in methods
     ]
-    print(
+    text = (
         f'{len(source)} + {len(target)} points, voxel {result.voxel_size_m:g} m, '
-        f'of the others {peers_m:g} m'
+        f'of the others {peers_m:g} m\n{text_table(rows)}\n'
+        f'memory of one registration: {memory_mb:.0f} MB over the import of torch'
     )
-    print(text_table(rows))
-    print(f'memory of one registration: {memory_mb:.0f} MB over the import of torch')
-    write_result(
-        args,
+    return text, (
         {
             'points': [len(source), len(target)],
             'voxel_m': {'register': result.voxel_size_m, 'others': peers_m},
@@ -79,9 +77,8 @@ def run(args: argparse.Namespace, source: Cloud, target: Cloud) -> int:
             'ratio': ratio,
             'memory_mb': memory_mb,
             'threads': args.threads,
-        },
+        }
     )
-    return 0
 
 
 def _methods(

@@ -5,16 +5,17 @@
 from __future__ import annotations
 
 import json
-import sys
+import logging
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from hybridreg_ros.benchmark import suite_confidence, suite_data, suite_fit, suite_run
 from hybridreg_ros.benchmark.suite_list import STRIDES
-from hybridreg_ros.cli.common import bar, odometry_config, write_result
 from hybridreg_ros.core.errors import ConfigError, WeightsError
+from hybridreg_ros.core.progress import bar
 from hybridreg_ros.odometry.selection import calibration
 from hybridreg_ros.replay.outputs import write_json
+from hybridreg_ros.replay.session import odometry_config
 
 if TYPE_CHECKING:
     import argparse
@@ -26,10 +27,13 @@ if TYPE_CHECKING:
 
     Part = suite_fit.Evidences | suite_confidence.Claims
     Tick = Callable[[], Any]
+    Fitted = tuple[str, dict[str, Any]]
+
+_log = logging.getLogger(__name__)
 
 
-def evidence(args: argparse.Namespace, sequences: list[Sequence]) -> int:
-    """Fit evidence and covariance and write them.
+def evidence(args: argparse.Namespace, sequences: list[Sequence]) -> Fitted:
+    """Fit evidence and covariance and write them; text to print, and the weights.
 
     Raises:
         ConfigError: the suite is one that is scored.
@@ -51,12 +55,12 @@ def evidence(args: argparse.Namespace, sequences: list[Sequence]) -> int:
             }
             parts += _parts(args, sequence, mark, runs, shown.update)
     found, quality = suite_fit.fit([suite_fit.Evidences.from_dict(p) for p in parts])
-    print(json.dumps({**found.evidence.to_dict(), 'covariance_scale': found.covariance_scale}))
-    return _write_fit(args, args.fit, found, quality)
+    shown_first = {**found.evidence.to_dict(), 'covariance_scale': found.covariance_scale}
+    return _written(args.fit, found, shown_first, quality)
 
 
-def confidence(args: argparse.Namespace, sequences: list[Sequence]) -> int:
-    """Fit the confidence that is reported and write it, with the packaged evidence.
+def confidence(args: argparse.Namespace, sequences: list[Sequence]) -> Fitted:
+    """Fit the reported confidence and write it, with the packaged evidence; as `evidence`.
 
     Raises:
         ConfigError: the suite is one that is scored.
@@ -77,8 +81,7 @@ def confidence(args: argparse.Namespace, sequences: list[Sequence]) -> int:
             }
             parts += _parts(args, sequence, mark, runs, shown.update)
     found, quality = suite_confidence.fit([suite_confidence.Claims.from_dict(p) for p in parts])
-    print(json.dumps(found.confidence.to_dict()))
-    return _write_fit(args, args.fit_confidence, found, quality)
+    return _written(args.fit_confidence, found, found.confidence.to_dict(), quality)
 
 
 def _parts(
@@ -116,14 +119,12 @@ def _model(args: argparse.Namespace) -> Any:
     return HybridReg.from_pretrained(args.weights)
 
 
-def _write_fit(
-    args: argparse.Namespace, path: Path, found: calibration.Calibration, quality: dict[str, Any]
-) -> int:
+def _written(
+    path: Path, found: calibration.Calibration, fitted: Any, quality: dict[str, Any]
+) -> Fitted:
     write_json(path, found.to_dict())
-    print(json.dumps(quality))
-    print(f'written: {path}')
-    write_result(args, found.to_dict())
-    return 0
+    lines = json.dumps(fitted), json.dumps(quality), f'written: {path}'
+    return '\n'.join(lines), found.to_dict()
 
 
 def weights_of(args: argparse.Namespace) -> Path | None:
@@ -136,5 +137,5 @@ def weights_of(args: argparse.Namespace) -> Path | None:
     try:
         return packaged_weights()
     except WeightsError as error:
-        print(f'hybridreg: no network: {error}', file=sys.stderr)
+        _log.warning('no network: %s', error)
         return None

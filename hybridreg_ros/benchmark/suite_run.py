@@ -85,7 +85,7 @@ def _code_hash(package: str) -> str:
     """Checksum of the source files of a sub-package."""
     folder = Path(__file__).parents[1] / package
     digest = hashlib.sha256()
-    for path in sorted(folder.glob('*.py')):
+    for path in sorted(folder.rglob('*.py')):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 

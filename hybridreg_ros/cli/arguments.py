@@ -73,6 +73,7 @@ def build_parser() -> argparse.ArgumentParser:
         _evaluate,
         _bench,
         _dump_config,
+        _warm_up,
         _demo,
     ):
         add(commands)
@@ -291,6 +292,10 @@ def _dump_config(commands: Commands) -> None:
     p = _command(commands, 'dump-config', 'cmd_config', 'print every setting with its range')
     p.add_argument('--config', type=Path, metavar='YAML', help='show these values')
     p.add_argument('--out', type=Path, metavar='FILE', help='write instead of print')
+
+
+def _warm_up(commands: Commands) -> None:
+    _command(commands, 'warm-up', 'cmd_warm_up', 'compile all kernels, so that no start waits')
 
 
 def _demo(commands: Commands) -> None:

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hybridreg_ros.cli.common import progress, write_result
+from hybridreg_ros.cli.common import told, write_result
 from hybridreg_ros.core.errors import ConfigError, WeightsError
+from hybridreg_ros.core.progress import progress
 from hybridreg_ros.core.scan import NS_PER_S, Scan
 from hybridreg_ros.replay.report_tables import text_table
 
@@ -33,14 +34,14 @@ def run(args: argparse.Namespace) -> int:
     if args.data:
         from hybridreg_ros.benchmark import bench_data
 
-        return bench_data.run(args)
+        return told(args, *bench_data.run(args))
     import torch
 
     source, target = _clouds(args)
     if args.peers:
         from hybridreg_ros.benchmark import bench_peers
 
-        return bench_peers.run(args, source, target)
+        return told(args, *bench_peers.run(args, source, target))
     torch.set_num_threads(args.threads)
     rest = _peak_mb()
     stages: dict[str, dict[str, list[float]]] = {}

@@ -6,8 +6,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from hybridreg_ros.cli.common import odometry_config, write_result
+from hybridreg_ros.cli.common import write_result
 from hybridreg_ros.core.config import dump_yaml, to_dict
+from hybridreg_ros.replay.session import odometry_config
 
 if TYPE_CHECKING:
     import argparse

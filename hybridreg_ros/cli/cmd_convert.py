@@ -6,7 +6,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from hybridreg_ros.cli.common import progress, write_result
+from hybridreg_ros.cli.common import write_result
+from hybridreg_ros.core.progress import progress
 from hybridreg_ros.replay.bag_writer import BagWriter
 from hybridreg_ros.replay.convert import ConvertOptions, open_recording
 from hybridreg_ros.replay.recording import write_recording

@@ -9,8 +9,9 @@ import time
 from typing import TYPE_CHECKING
 
 from hybridreg_ros.benchmark.baseline import KissIcpAlone
-from hybridreg_ros.cli.common import bar, progress, write_result
+from hybridreg_ros.cli.common import write_result
 from hybridreg_ros.cli.live import LiveOptions, replay_live
+from hybridreg_ros.core.progress import bar, progress
 from hybridreg_ros.replay import outputs, report, report_tables, runner, session
 from hybridreg_ros.replay.bag_reader import open_bag
 from hybridreg_ros.replay.bag_writer import BagWriter

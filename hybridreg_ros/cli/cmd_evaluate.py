@@ -8,10 +8,11 @@ import datetime
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from hybridreg_ros.cli.common import progress, write_result
+from hybridreg_ros.cli.common import write_result
 from hybridreg_ros.cli.many import each
 from hybridreg_ros.core import provenance
 from hybridreg_ros.core.errors import FileFormatError
+from hybridreg_ros.core.progress import progress
 from hybridreg_ros.data.loaders.openers import open_pairs
 from hybridreg_ros.training.baselines import METHODS
 from hybridreg_ros.training.evaluate import evaluate, evaluate_method, recorded_pairs

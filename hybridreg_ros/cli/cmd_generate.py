@@ -6,8 +6,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from hybridreg_ros.cli.common import bar, write_result
+from hybridreg_ros.cli.common import write_result
 from hybridreg_ros.core.errors import ConfigError
+from hybridreg_ros.core.progress import bar
 from hybridreg_ros.data.hybridmatch.preview import write_preview
 from hybridreg_ros.data.hybridmatch.room_pairs import SPLITS, scene_of
 from hybridreg_ros.data.hybridmatch.splits import PAIRS, first_seed, generate_split

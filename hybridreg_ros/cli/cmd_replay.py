@@ -8,9 +8,11 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hybridreg_ros.cli.common import bar, odometry_config, progress, write_result
+from hybridreg_ros.cli.common import write_result
 from hybridreg_ros.core.errors import BagError, ConfigError
+from hybridreg_ros.core.progress import bar, progress
 from hybridreg_ros.replay import report_tables, session
+from hybridreg_ros.replay.session import odometry_config
 
 if TYPE_CHECKING:
     import argparse

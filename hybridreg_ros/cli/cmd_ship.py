@@ -6,8 +6,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from hybridreg_ros.cli.common import progress, write_result
+from hybridreg_ros.cli.common import write_result
 from hybridreg_ros.core.errors import ConfigError
+from hybridreg_ros.core.progress import progress
 from hybridreg_ros.data.loaders.openers import open_pairs
 from hybridreg_ros.training.report import to_markdown
 from hybridreg_ros.training.shipping import ship

@@ -18,10 +18,12 @@ from hybridreg_ros.benchmark import (
     suite_table,
 )
 from hybridreg_ros.benchmark.suite_list import METHODS, STRIDES, chosen
-from hybridreg_ros.cli.common import bar, odometry_config, write_result
+from hybridreg_ros.cli.common import told, write_result
 from hybridreg_ros.core.errors import ConfigError, DependencyError, FileFormatError
+from hybridreg_ros.core.progress import bar
 from hybridreg_ros.replay.interrupt import StopRequest
 from hybridreg_ros.replay.outputs import write_json
+from hybridreg_ros.replay.session import odometry_config
 
 if TYPE_CHECKING:
     import argparse
@@ -53,9 +55,9 @@ def run(args: argparse.Namespace) -> int:
         )
     sequences = chosen(args.suite, args.sequences, args.frames)
     if args.fit is not None:
-        return fits.evidence(args, sequences)
+        return told(args, *fits.evidence(args, sequences))
     if args.fit_confidence is not None:
-        return fits.confidence(args, sequences)
+        return told(args, *fits.confidence(args, sequences))
     memory = suite_memory.read(args.out)
     code = 0
     if not args.table_only:

@@ -8,8 +8,8 @@ import contextlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from hybridreg_ros.cli.common import bar
 from hybridreg_ros.core.errors import ConfigError, DependencyError
+from hybridreg_ros.core.progress import bar
 from hybridreg_ros.replay import session
 from hybridreg_ros.replay.bag_reader import open_bag
 from hybridreg_ros.replay.live_log import LiveRecorder

@@ -4,11 +4,12 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from hybridreg_ros.core.jit import compiled
 
-@numba.njit(cache=True, nogil=True)
+
+@compiled
 def smallest_axis(xx, xy, xz, yy, yz, zz):  # type: ignore[no-untyped-def]
     """Eigenvalues (ascending) and unit eigenvector of the smallest, of a symmetric 3x3 matrix.
 

@@ -7,9 +7,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
+from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.odometry.map.thinning import first_per_voxel, means_of, occupied, voxel_of
 from hybridreg_ros.odometry.preprocessed import Cloud
 
@@ -232,7 +232,7 @@ def believable(times: NDArray[np.float64]) -> bool:
     return 0.0 < span <= _LONGEST_SCAN_S and float(np.abs(times).max()) <= 2.0 * _LONGEST_SCAN_S
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _in_range(points, low_sq, high_sq):  # type: ignore[no-untyped-def]
     inside = np.empty(len(points), np.bool_)
     for row in range(len(points)):
@@ -244,7 +244,7 @@ def _in_range(points, low_sq, high_sq):  # type: ignore[no-untyped-def]
     return inside
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _deskew(points, times, v, w):  # type: ignore[no-untyped-def]
     """Each point moved by exp(twist * its time): Rodrigues' formula with one axis for all."""
     moved = np.empty_like(points)

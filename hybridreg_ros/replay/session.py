@@ -5,10 +5,11 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from hybridreg_ros.core.config import to_dict
+from hybridreg_ros.core.config import load_yaml, to_dict
 from hybridreg_ros.core.pages import one_heap
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.replay import outputs, runner
@@ -54,6 +55,18 @@ class Job:
     stride: int = 1
     max_frames: int | None = None
     clouds: bool = True
+
+
+def odometry_config(path: Path | None, registrar: str | None = None) -> OdometryConfig:
+    """Settings of the front end from a YAML file (or defaults), with --registrar on top.
+
+    Raises:
+        ConfigError: unreadable file, unknown key, or a value out of range.
+    """
+    from hybridreg_ros.odometry.config import OdometryConfig
+
+    config = OdometryConfig() if path is None else load_yaml(OdometryConfig, path)
+    return config if registrar is None else dataclasses.replace(config, registrar=registrar)
 
 
 def build_front_end(config: OdometryConfig, weights: Path | None) -> HybridOdometry:

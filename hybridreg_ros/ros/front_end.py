@@ -4,20 +4,21 @@
 
 from __future__ import annotations
 
-from copy import copy
+import logging
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
+from hybridreg_ros.core import jit
 from hybridreg_ros.core.errors import WeightsError
-from hybridreg_ros.core.scan import NS_PER_S, Scan
 from hybridreg_ros.odometry.frontend import HybridOdometry
+from hybridreg_ros.odometry.warm_up import warm_up
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from hybridreg_ros.odometry.config import OdometryConfig
 
-_WARM_UP_SCANS = 3
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +36,10 @@ class FrontEnd:
     has_weights: bool
 
 
-def build_front_end(config: OdometryConfig, weights: str) -> FrontEnd:
-    """Load the weights and build the front end.
+def build_front_end(
+    config: OdometryConfig, weights: str, say: Callable[[str], object] = _log.info
+) -> FrontEnd:
+    """Load the weights, compile what is not compiled yet, and build the front end.
 
     Without packaged weights the front end still runs, on kiss-icp alone, and says so. A weights
     file that the user names must load.
@@ -44,6 +47,7 @@ def build_front_end(config: OdometryConfig, weights: str) -> FrontEnd:
     Args:
         config: settings of the front end.
         weights: path of a weights file, '' = the packaged ones.
+        say: called with one line at once when kernels must be compiled, and with each step of it.
 
     Raises:
         WeightsError: the file named cannot be used.
@@ -57,23 +61,14 @@ def build_front_end(config: OdometryConfig, weights: str) -> FrontEnd:
             if weights:
                 raise
             text, has_weights = str(error), False
-    _warm_up(config, model)
+    filled = jit.is_filled()
+    if not filled:
+        say('compiling kernels, once after an installation or update (about a minute; '
+            '`hybridreg warm-up` does it beforehand)')  # fmt: skip
+    for step in warm_up(config, model):
+        if not filled:
+            say(f'compiling: {step}')
     return FrontEnd(HybridOdometry(config, model=model), text, has_weights)
-
-
-def _warm_up(config: OdometryConfig, model: Any) -> None:
-    """Let every branch see a made-up room, so that nothing is compiled while clouds wait."""
-    rng = np.random.default_rng(0)
-    half = np.array([6.0, 4.0, 1.5])
-    points = rng.uniform(-half, half, (8000, 3))
-    axis = rng.integers(0, 3, len(points))
-    points[np.arange(len(points)), axis] = half[axis] * rng.choice([-1.0, 1.0], len(points))
-    # A copy: the registrar keeps the voxel size of the first cloud it sees, which is not this one.
-    for branch in (None, copy(model)):
-        front_end = HybridOdometry(config, model=branch)
-        for k in range(_WARM_UP_SCANS):
-            moved = (points - [0.05 * k, 0.0, 0.0]).astype(np.float32)
-            front_end.step(Scan(moved, stamp=(1 + k) * NS_PER_S // 10))
 
 
 def _load(weights: str) -> Any:

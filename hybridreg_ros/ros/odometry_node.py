@@ -66,7 +66,7 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
             self, (OdometryConfig(), NodeConfig()), _FIXED.__contains__, self._on_parameters
         )
         odometry, config = self._configs
-        self._front_end = build_front_end(odometry, config.weights)
+        self._front_end = build_front_end(odometry, config.weights, self.get_logger().info)
         self._outputs = Outputs(self, config, odometry.dynamics.threshold)
         self._worker = Worker(
             self._front_end.odometry, config, self._monitor, self._publish, self._warn

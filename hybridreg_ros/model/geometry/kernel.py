@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from hybridreg_ros.model.geometry.ops import compiled
+from hybridreg_ros.core.jit import compiled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hybridreg_ros.model.geometry.ops import bounds, compiled
+from hybridreg_ros.core.jit import compiled
+from hybridreg_ros.model.geometry.ops import bounds
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

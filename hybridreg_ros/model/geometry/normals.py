@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.core.eigen import smallest_axis
-from hybridreg_ros.model.geometry.ops import compiled
+from hybridreg_ros.core.jit import compiled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -7,14 +7,13 @@ All run on one thread without the GIL and do not depend on the order of the inpu
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from hybridreg_ros.core.jit import compiled
 
+if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     F32 = NDArray[np.float32]
@@ -22,12 +21,6 @@ if TYPE_CHECKING:
     I64 = NDArray[np.int64]
 
 MORTON_BITS = 21
-
-
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Numba with an on-disk cache and without the GIL."""
-    wrapped: Callable[..., Any] = numba.njit(cache=True, nogil=True, error_model='numpy')(function)
-    return wrapped
 
 
 @compiled

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.model.geometry.grid import Grid, cell_point, cosine, moved
-from hybridreg_ros.model.geometry.ops import compiled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from hybridreg_ros.model.geometry.ops import compiled
+from hybridreg_ros.core.jit import compiled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

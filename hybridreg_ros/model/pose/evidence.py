@@ -11,8 +11,8 @@ import numpy as np
 from torch.nn import functional
 
 from hybridreg_ros.core import se3
+from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.model.geometry.grid import cell_point, cosine, moved
-from hybridreg_ros.model.geometry.ops import compiled
 from hybridreg_ros.model.geometry.upsampling import spread_to_level0
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hybridreg_ros.model.geometry.ops import compiled
+from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.model.network.estimators import batched_kabsch
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.model.geometry.grid import cell_point, moved
-from hybridreg_ros.model.geometry.ops import compiled
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

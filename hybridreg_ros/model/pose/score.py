@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.model.geometry.grid import cell_point, cosine, moved
-from hybridreg_ros.model.geometry.ops import compiled
 from hybridreg_ros.model.geometry.upsampling import spread_to_level0
 from hybridreg_ros.model.geometry.views import View, depth_behind, inverse
 from hybridreg_ros.model.network.estimators import weighted_inliers

@@ -6,9 +6,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
+from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.odometry.map.planes import (
     MIN_PLANE_POINTS,
     around,
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.odometry.map.local_map import VoxelLevel
-
-_jit = numba.njit(cache=True, nogil=True)
 
 _ROUNDS = 5
 """Most fits per place; each leaves out what the one before showed to stand before the surface."""
@@ -81,7 +79,7 @@ def lies_on_backdrop(
     return out
 
 
-@_jit
+@compiled
 def _lie_on(places, sensor, slack, grid, up, least, out):  # type: ignore[no-untyped-def]
     """The kernel of `lies_on_backdrop`."""
     found = buffer(grid)

@@ -5,15 +5,13 @@
 # ruff: noqa: D417, PLR0913, PLR0917 (kernels take plain arrays)
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.odometry.map.voxel_hash import EMPTY, find_slot, voxel_key
 
-_jit = numba.njit(cache=True, nogil=True)
 
-
-@_jit
+@compiled
 def grow(keys, table, slots, value, group, budget, passable, steps, fade):  # type: ignore[no-untyped-def]
     """Spread values of grouped cells to their neighbours, nearest first, within a budget.
 
@@ -55,7 +53,7 @@ def grow(keys, table, slots, value, group, budget, passable, steps, fade):  # ty
         front, count = fresh, added
 
 
-@_jit
+@compiled
 def look_up(points, size, table, slots, value, spread, out):  # type: ignore[no-untyped-def]
     """Largest value of the cells at and, with `spread`, around each point; 0 where there is none.
 

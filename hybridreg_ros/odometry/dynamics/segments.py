@@ -5,19 +5,17 @@
 # ruff: noqa: D417, PLR0913, PLR0917 (kernels take plain arrays)
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from hybridreg_ros.core.eigen import smallest_axis
+from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.odometry.map.voxel_hash import EMPTY, find_slot
-
-_jit = numba.njit(cache=True, nogil=True)
 
 _FLAT = 0.12
 """A cell has a normal when its surroundings vary less than this share of the next axis across."""
 
 
-@_jit
+@compiled
 def normals(points, cell, keys, table, slots):  # type: ignore[no-untyped-def]
     """Mean and normal of each cell from the points in it and in the 26 around it.
 
@@ -86,7 +84,7 @@ def normals(points, cell, keys, table, slots):  # type: ignore[no-untyped-def]
     return centre, normal, flat
 
 
-@_jit
+@compiled
 def smooth(a, b, centre, normal, flat, bend, step):  # type: ignore[no-untyped-def]
     """Whether two neighbouring cells continue one smooth surface."""
     if not (flat[a] and flat[b]):
@@ -101,7 +99,7 @@ def smooth(a, b, centre, normal, flat, bend, step):  # type: ignore[no-untyped-d
     return dot > bend and abs(off_a) < step and abs(off_b) < step
 
 
-@_jit
+@compiled
 def concave(a, b, centre, normal, flat, limit):  # type: ignore[no-untyped-def]
     """Whether the surface folds inwards between two cells: things touch there."""
     if not (flat[a] and flat[b]):
@@ -114,7 +112,7 @@ def concave(a, b, centre, normal, flat, limit):  # type: ignore[no-untyped-def]
     return fold < -limit * np.sqrt(length)
 
 
-@_jit
+@compiled
 def divide(keys, table, slots, member, centre, normal, flat, bend, step, fold):  # type: ignore[no-untyped-def]
     """Connected parts of the member cells.
 
@@ -165,7 +163,7 @@ def divide(keys, table, slots, member, centre, normal, flat, bend, step, fold): 
     return part, number
 
 
-@_jit
+@compiled
 def groups(keys, table, slots, member):  # type: ignore[no-untyped-def]
     """Connected groups of member cells (M,) bool; group number per cell, -1 for the others."""
     nowhere = np.zeros((len(keys), 3))

@@ -5,13 +5,11 @@
 # ruff: noqa: D417 (kernels take plain arrays, named in `VoxelLevel`)
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from hybridreg_ros.core.eigen import smallest_axis
+from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.odometry.map.voxel_hash import EMPTY, find_voxel, voxel_key
-
-_jit = numba.njit(cache=True, nogil=True)
 
 MIN_PLANE_POINTS = 6
 FLATNESS = 0.15
@@ -26,13 +24,13 @@ LEAST_LEFT = 0.5
 """Share of the points that must be left: a plane is what most of them lie on."""
 
 
-@_jit
+@compiled
 def buffer(grid):  # type: ignore[no-untyped-def]
     """Room (P, 4) for as many points as there can be around a place."""
     return np.empty((27 * grid.most, 4))
 
 
-@_jit
+@compiled
 def around(x, y, z, grid, found):  # type: ignore[no-untyped-def]
     """Stored points within one cube edge of a place.
 
@@ -69,7 +67,7 @@ def around(x, y, z, grid, found):  # type: ignore[no-untyped-def]
     return count
 
 
-@_jit
+@compiled
 def plane_of(points, n):  # type: ignore[no-untyped-def]
     """Plane through the first n points (P, 4), with their weights.
 
@@ -97,13 +95,13 @@ def plane_of(points, n):  # type: ignore[no-untyped-def]
     return l0, l1, l2, nx, ny, nz, mx * nx + my * ny + mz * nz
 
 
-@_jit
+@compiled
 def is_plane(l0, l1, l2):  # type: ignore[no-untyped-def]
     """Whether points with these variances along their axes, ascending, lie on a plane."""
     return l1 > 0.0 and l0 <= FLATNESS * l1 and l1 >= BREADTH * l2
 
 
-@_jit
+@compiled
 def keep_within(points, n, nx, ny, nz, low, high):  # type: ignore[no-untyped-def]
     """Move those of the first n points (P, 4) to the front whose height is in (low, high).
 
@@ -119,7 +117,7 @@ def keep_within(points, n, nx, ny, nz, low, high):  # type: ignore[no-untyped-de
     return kept
 
 
-@_jit
+@compiled
 def fit_around(x, y, z, grid, found):  # type: ignore[no-untyped-def]
     """Plane through the stored points within one cube edge of a place.
 

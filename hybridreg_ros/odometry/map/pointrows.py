@@ -10,13 +10,12 @@ forgets are used again.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
-_jit = numba.njit(cache=True, nogil=True)
+from hybridreg_ros.core.jit import compiled
 
 
-@_jit
+@compiled
 def none_taken(longest):  # type: ignore[no-untyped-def]
     """Free rows (F,) int32 while none is in use: heads of chains, and the first row never taken.
 
@@ -29,13 +28,13 @@ def none_taken(longest):  # type: ignore[no-untyped-def]
     return free
 
 
-@_jit
+@compiled
 def longer(room, longest):  # type: ignore[no-untyped-def]
     """Rows of the next longer run: half as many again."""
     return min(room + max(1, room // 2), longest)
 
 
-@_jit
+@compiled
 def take(room, free, following):  # type: ignore[no-untyped-def]
     """First row of a run of so many rows, or -1 when the arrays are full.
 
@@ -55,7 +54,7 @@ def take(room, free, following):  # type: ignore[no-untyped-def]
     return row
 
 
-@_jit
+@compiled
 def give_back(row, room, free, following):  # type: ignore[no-untyped-def]
     """Let a run of `room` rows from `row` on be taken again; other arguments as in `take`."""
     following[row] = free[room]

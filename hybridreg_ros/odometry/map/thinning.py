@@ -6,21 +6,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
+from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.odometry.map.voxel_hash import EMPTY, empty_table, find_slot, voxel_key
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_jit = numba.njit(cache=True, nogil=True)
-
 _ROOM = 4096
 """Voxels that the hash table has room for at first: a small one stays in the processor's cache."""
 
 
-@_jit
+@compiled
 def occupied(points, size, member):  # type: ignore[no-untyped-def]
     """Voxels of a grid that hold points.
 
@@ -75,7 +73,7 @@ def first_per_voxel(points: NDArray[np.floating], size: float) -> NDArray[np.int
     return rows
 
 
-@_jit
+@compiled
 def voxel_of(points, size, member, table, slots):  # type: ignore[no-untyped-def]
     """Voxel of each member point (N, 3) in the hash table of `occupied`, (N,) int32, -1 = none."""
     voxel = np.full(len(points), -1, np.int32)
@@ -92,7 +90,7 @@ def voxel_of(points, size, member, table, slots):  # type: ignore[no-untyped-def
     return voxel
 
 
-@_jit
+@compiled
 def means_of(points, voxel, count):  # type: ignore[no-untyped-def]
     """Mean (count, 3) float32 of the points (N, 3) of each voxel (N,), -1 = none; and how many."""
     total = np.zeros((count, 3))

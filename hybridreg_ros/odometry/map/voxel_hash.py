@@ -4,18 +4,18 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+
+from hybridreg_ros.core.jit import compiled
 
 HALF_SPAN = 1 << 20
 """Voxel indices must lie in (-HALF_SPAN, HALF_SPAN): 21 bits per axis in one int64 key."""
 EMPTY = -1
 
 _HASH = -7046029254386353131
-_jit = numba.njit(cache=True, nogil=True)
 
 
-@_jit
+@compiled
 def voxel_key(x, y, z, inverse_size):  # type: ignore[no-untyped-def]
     """Key of the voxel that holds a point (int64), or EMPTY when it lies outside the grid."""
     i = int(np.floor(x * inverse_size)) + HALF_SPAN
@@ -27,7 +27,7 @@ def voxel_key(x, y, z, inverse_size):  # type: ignore[no-untyped-def]
     return (i << 42) | (j << 21) | k
 
 
-@_jit
+@compiled
 def empty_table(count):  # type: ignore[no-untyped-def]
     """Keys (C,) int64, all `EMPTY`, and values (C,) int32 of a hash table for `count` entries."""
     capacity = 16
@@ -36,7 +36,7 @@ def empty_table(count):  # type: ignore[no-untyped-def]
     return np.full(capacity, EMPTY, np.int64), np.zeros(capacity, np.int32)
 
 
-@_jit
+@compiled
 def find_slot(table, key):  # type: ignore[no-untyped-def]
     """Slot of a key in the open-addressing table (C,), or the free slot where it belongs."""
     mask = len(table) - 1
@@ -46,7 +46,7 @@ def find_slot(table, key):  # type: ignore[no-untyped-def]
     return slot
 
 
-@_jit
+@compiled
 def find_voxel(key, slots, keys):  # type: ignore[no-untyped-def]
     """Number of the voxel with a key in a table that holds numbers only, or -1.
 
@@ -62,7 +62,7 @@ def find_voxel(key, slots, keys):  # type: ignore[no-untyped-def]
     return slots[slot]
 
 
-@_jit
+@compiled
 def add_voxel(number, slots, keys):  # type: ignore[no-untyped-def]
     """Put a voxel that is not in the table of `find_voxel` into it."""
     mask = len(slots) - 1

@@ -6,10 +6,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray  # noqa: TC002 (numba reads the annotations of Grid)
 
+from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.odometry.map import pointrows
 from hybridreg_ros.odometry.map.voxel_hash import EMPTY, add_voxel, find_voxel, voxel_key
 
@@ -53,10 +53,8 @@ class Grid(NamedTuple):
 MOST_MASS = 30.0
 """Cap of the mass of a stored point, in measurements of weight 1: so the map can still follow."""
 
-_jit = numba.njit(cache=True, nogil=True)
 
-
-@_jit
+@compiled
 def insert(points, weights, origin, now_s, spacing_sq, grid, used):  # type: ignore[no-untyped-def]
     """Add points (N, 3) to the grid; where one is stored already, that one becomes a mean.
 
@@ -126,7 +124,7 @@ def insert(points, weights, origin, now_s, spacing_sq, grid, used):  # type: ign
     return used, len(points)
 
 
-@_jit
+@compiled
 def _settle(voxel, grid):  # type: ignore[no-untyped-def]
     """Give a new voxel its first row; false when there is none."""
     start = pointrows.take(1, grid.free, grid.fitted)
@@ -136,7 +134,7 @@ def _settle(voxel, grid):  # type: ignore[no-untyped-def]
     return True
 
 
-@_jit
+@compiled
 def _move(voxel, grid):  # type: ignore[no-untyped-def]
     """Move a full voxel to more rows; false when there are none."""
     start, count, room = grid.spans[voxel, 0], grid.spans[voxel, 1], grid.spans[voxel, 2]
@@ -151,7 +149,7 @@ def _move(voxel, grid):  # type: ignore[no-untyped-def]
     return True
 
 
-@_jit
+@compiled
 def _copy(source, i, grid, k):  # type: ignore[no-untyped-def]
     """Copy point i of one grid to row k of another, or of the same one, and its surface if any."""
     for axis in range(3):
@@ -166,7 +164,7 @@ def _copy(source, i, grid, k):  # type: ignore[no-untyped-def]
         grid.support[k] = source.support[i]
 
 
-@_jit
+@compiled
 def pack(source, grid, used):  # type: ignore[no-untyped-def]
     """Copy the points of all voxels side by side into a grid that shares the voxels of its source.
 
@@ -184,7 +182,7 @@ def pack(source, grid, used):  # type: ignore[no-untyped-def]
         grid.spans[voxel, 0], grid.spans[voxel, 2] = to, room
 
 
-@_jit
+@compiled
 def keep_near(centre, reach_sq, grid, used):  # type: ignore[no-untyped-def]
     """Drop empty voxels and voxels whose first point is farther than the reach; voxels in use."""
     grid.slots[:] = -1
@@ -204,7 +202,7 @@ def keep_near(centre, reach_sq, grid, used):  # type: ignore[no-untyped-def]
     return kept
 
 
-@_jit
+@compiled
 def erase_near(points, reach_sq, grid):  # type: ignore[no-untyped-def]
     """Remove stored points within the reach of any of the points (N, 3); returns how many."""
     inverse = 1.0 / grid.size
@@ -234,7 +232,7 @@ def erase_near(points, reach_sq, grid):  # type: ignore[no-untyped-def]
     return removed
 
 
-@_jit
+@compiled
 def mean_distance(points, R, t, grid):  # type: ignore[no-untyped-def]
     """Mean distance of moved points (N, 3) to the nearest stored point, cut off at a voxel."""
     total = 0.0
@@ -247,7 +245,7 @@ def mean_distance(points, R, t, grid):  # type: ignore[no-untyped-def]
     return total / max(1, len(points))
 
 
-@_jit
+@compiled
 def nearest(x, y, z, grid):  # type: ignore[no-untyped-def]
     """Stored point nearest to a place, within one voxel edge.
 
@@ -291,7 +289,7 @@ def nearest(x, y, z, grid):  # type: ignore[no-untyped-def]
     return place, best
 
 
-@_jit
+@compiled
 def gather(spans, store, used):  # type: ignore[no-untyped-def]
     """All stored points as (N, 3) float32."""
     points = np.empty((spans[:used, 1].sum(), 3), np.float32)

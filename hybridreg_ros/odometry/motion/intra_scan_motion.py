@@ -7,18 +7,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numba
 import numpy as np
 
 from hybridreg_ros.core import se3
+from hybridreg_ros.core.jit import compiled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     F64 = NDArray[np.float64]
-
-
-_jit = numba.njit(cache=True, nogil=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +60,7 @@ class Sway:
 NO_SWAY = Sway(np.zeros(6), np.zeros(6))
 
 
-@_jit
+@compiled
 def _carry(points, times, rate, bend, moved):  # type: ignore[no-untyped-def]
     """Each point moved by exp(rate s + bend s^2), s its time."""
     for row in range(len(points)):

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
 from hybridreg_ros.core import se3
+from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.odometry.motion.intra_scan_motion import Sway
 from hybridreg_ros.odometry.registration.kernels import NONE, PLANE
 
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
     F64 = NDArray[np.float64]
 
-
-_jit = numba.njit(cache=True, nogil=True)
 
 _TURNING = (np.deg2rad(0.4), np.deg2rad(18.0))
 """Limits of the standard deviation of the angular velocity within a scan, rad/s."""
@@ -91,7 +89,7 @@ def solve(H: F64, b: F64) -> F64:
     return step
 
 
-@_jit
+@compiled
 def moments(points, times, weights, R, t, kind, anchor, normal, var, scale, point_var):  # type: ignore[no-untyped-def]
     """Sums of the robust cost over powers of the time of each point.
 

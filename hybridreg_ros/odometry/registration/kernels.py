@@ -5,13 +5,11 @@
 # ruff: noqa: D417, PLR0913, PLR0917 (kernels take plain arrays, named in `VoxelLevel`)
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.odometry.map.planes import buffer, fit_around
 from hybridreg_ros.odometry.map.voxel_map import nearest
-
-_jit = numba.njit(cache=True, nogil=True)
 
 NONE, POINT, PLANE = 0, 1, 2
 GRAZING = 0.12
@@ -22,7 +20,7 @@ BETWEEN = 0.5
 """How far off a surface of the wider level a point between the rings may be, in voxels."""
 
 
-@_jit
+@compiled
 def fit_surface(i, grid, wider, widest, update, room):  # type: ignore[no-untyped-def]
     """Fit the surface of one stored point, on its own level or on the next that shows one."""
     x, y, z = grid.store[i, 0], grid.store[i, 1], grid.store[i, 2]
@@ -43,13 +41,13 @@ def fit_surface(i, grid, wider, widest, update, room):  # type: ignore[no-untype
     grid.support[i] = min(n, 30000)
 
 
-@_jit
+@compiled
 def _edge_on(nx, ny, nz, beam):  # type: ignore[no-untyped-def]
     """Whether a surface with this normal was seen too edge-on to be one; true without a normal."""
     return abs(nx * beam[0] + ny * beam[1] + nz * beam[2]) < GRAZING
 
 
-@_jit
+@compiled
 def _lasts(support):  # type: ignore[no-untyped-def]
     """Updates of the map for which a surface stays as it is; 0 while there is none yet."""
     if support == 0:
@@ -57,7 +55,7 @@ def _lasts(support):  # type: ignore[no-untyped-def]
     return 24 if support > 20 else 6
 
 
-@_jit
+@compiled
 def _surface_of(x, y, z, grid, wider, widest, update, room):  # type: ignore[no-untyped-def]
     """Stored point nearest to a place, its surface fitted as often as it is due.
 
@@ -72,7 +70,7 @@ def _surface_of(x, y, z, grid, wider, widest, update, room):  # type: ignore[no-
     return i
 
 
-@_jit
+@compiled
 def _on_plane(x, y, z, grid, i, slack):  # type: ignore[no-untyped-def]
     """Whether a place lies on the surface of a stored point, if that is a plane."""
     if i < 0 or grid.support[i] == 0:
@@ -84,7 +82,7 @@ def _on_plane(x, y, z, grid, i, slack):  # type: ignore[no-untyped-def]
     return abs(off) < slack
 
 
-@_jit
+@compiled
 def associate(points, R, t, grid, wider, widest, update, kind, anchor, normal, var, born):  # type: ignore[no-untyped-def]
     """Surface of the map nearest to each moved point.
 
@@ -133,7 +131,7 @@ def associate(points, R, t, grid, wider, widest, update, kind, anchor, normal, v
         var[row] = level.surface[i, 4]
 
 
-@_jit
+@compiled
 def residuals(points, R, t, kind, anchor, normal, out):  # type: ignore[no-untyped-def]
     """Distance of each moved point to its plane or point, metres, into `out` (N,); inf = none."""
     for row in range(len(points)):
@@ -150,7 +148,7 @@ def residuals(points, R, t, kind, anchor, normal, out):  # type: ignore[no-untyp
             out[row] = np.sqrt(dx * dx + dy * dy + dz * dz)
 
 
-@_jit
+@compiled
 def _add_any(H, w, ax, ay, az):  # type: ignore[no-untyped-def]
     """Add to the upper half of H (6, 6) what holds a point in all three directions."""
     # J = [I, -hat(a)]
@@ -171,7 +169,7 @@ def _add_any(H, w, ax, ay, az):  # type: ignore[no-untyped-def]
     H[4, 5] -= w * ay * az
 
 
-@_jit
+@compiled
 def normal_equations(points, weights, R, t, kind, anchor, normal, var, scale, point_var):  # type: ignore[no-untyped-def]
     """Gauss-Newton system of the robust cost at (R, t).
 

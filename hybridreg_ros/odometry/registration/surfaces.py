@@ -6,9 +6,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
+from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.odometry.registration import kernels
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ class Surfaces:
         return spread
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _scales(residual, kind, order, low, high):  # type: ignore[no-untyped-def]
     """Robust standard deviation of the plane residuals per point (N,), over groups by range."""
     n = len(order)

@@ -9,10 +9,10 @@ from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
 from hybridreg_ros.core import se3
+from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.core.pages import paged
 
 if TYPE_CHECKING:
@@ -186,10 +186,7 @@ def _geometry(
     return view.basis, view.azimuth_rad, view.elevation_rad, view.step_rad, view.wraps
 
 
-_jit = numba.njit(cache=True, nogil=True)
-
-
-@_jit
+@compiled
 def _pixel_of(x, y, z, basis, azimuth, elevation, step):  # type: ignore[no-untyped-def]
     """Range, column and row of a direction; they may lie outside the image."""
     f = basis[0, 0] * x + basis[0, 1] * y + basis[0, 2] * z
@@ -201,7 +198,7 @@ def _pixel_of(x, y, z, basis, azimuth, elevation, step):  # type: ignore[no-unty
     return np.sqrt(flat * flat + u * u), column, row
 
 
-@_jit
+@compiled
 def _draw(points, basis, azimuth, elevation, step, wraps, near, far):  # type: ignore[no-untyped-def]
     height, width = near.shape
     for i in range(len(points)):
@@ -216,7 +213,7 @@ def _draw(points, basis, azimuth, elevation, step, wraps, near, far):  # type: i
         far[row, column] = max(far[row, column], r)
 
 
-@_jit
+@compiled
 def _widen(near, far, wraps):  # type: ignore[no-untyped-def]
     """Nearest and farthest range within one pixel around each pixel."""
     height, width = near.shape
@@ -238,7 +235,7 @@ def _widen(near, far, wraps):  # type: ignore[no-untyped-def]
     return low, high
 
 
-@_jit
+@compiled
 def _stand(  # type: ignore[no-untyped-def]
     points,
     R,

@@ -23,9 +23,11 @@ $(VENV)/.ready-test: $(INPUTS) scripts/build_tf2_msgs.py
 setup: $(VENV)/.ready-test  ## everything that the other targets need
 
 demo: $(VENV)/.ready-demo  ## simulate, play over DDS into the real node, score, write out/demo/report.html
+	$(VENV)/bin/hybridreg warm-up
 	$(VENV)/bin/hybridreg demo --out out/demo
 
 test: $(VENV)/.ready-test lint  ## all fast tests: unit, property, ROS over DDS, browser
+	$(VENV)/bin/hybridreg warm-up
 	$(PY) -m pytest
 
 test-slow: $(VENV)/.ready-test  ## the long tests: colcon, transport, kill and resume, overfit

@@ -89,7 +89,7 @@ setup(
         'console_scripts': [
             'hybridreg = hybridreg_ros.cli.main:main',
             'odometry_node = hybridreg_ros.ros.odometry_node:main',
-            'bag_player = hybridreg_ros.ros.bag_player:main',
+            'bag_player = hybridreg_ros.ros.playback.bag_player:main',
         ],
     },
 )

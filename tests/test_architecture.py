@@ -41,7 +41,7 @@ ALLOWED = {
 }
 EXCEPTIONS = {
     # The bag player is the one executable of ros/ that reads bags.
-    ('ros/bag_player.py', 'replay'),
+    ('ros/playback/bag_player.py', 'replay'),
 }
 HOMES = {
     'rclpy': ('ros/',),
@@ -110,9 +110,66 @@ def test_header_docstring_and_manners(path: Path) -> None:
         assert called not in ('sys.exit', 'exit', 'os._exit'), f'only cli exits ({node.lineno})'
 
 
-@pytest.mark.parametrize('path', FILES + SCRIPTS, ids=lambda p: p.name)
-def test_no_file_is_long_without_a_reason(path: Path) -> None:
-    assert len(path.read_text(encoding='utf-8').splitlines()) <= 350
+def module_of(path: Path) -> str:
+    return '.'.join(('hybridreg_ros', *path.relative_to(PACKAGE).with_suffix('').parts))
+
+
+def imports_of_modules() -> dict[str, set[str]]:
+    """Module to the modules of the package that it imports, for type checkers too."""
+    modules = {module_of(p) for p in FILES}
+    graph = {}
+    for path in FILES:
+        names = imported_modules(ast.parse(path.read_text(encoding='utf-8')))
+        found = {n if n in modules else n.rpartition('.')[0] for n in names}
+        graph[module_of(path)] = (found & modules) - {module_of(path)}
+    return graph
+
+
+def room_of(module: str) -> str:
+    """Sub-folder of a layer (model.pose), or a module that stands in the layer itself."""
+    return '.'.join(module.split('.')[1:3])
+
+
+def circle_in(graph: dict[str, set[str]]) -> list[str]:
+    """One circle of a graph, empty when there is none."""
+    done: set[str] = set()
+
+    def walk(node: str, way: list[str]) -> list[str]:
+        if node in way:
+            return [*way[way.index(node) :], node]
+        if node not in done:
+            for after in sorted(graph.get(node, ())):
+                if found := walk(after, [*way, node]):
+                    return found
+            done.add(node)
+        return []
+
+    for start in sorted(graph):
+        if found := walk(start, []):
+            return found
+    return []
+
+
+def test_a_circle_is_found() -> None:
+    assert circle_in({'a': {'b'}, 'b': {'c'}, 'c': {'b'}, 'd': set()}) == ['b', 'c', 'b']
+    assert circle_in({'a': {'b', 'c'}, 'b': {'c'}, 'c': set()}) == []
+
+
+def test_no_circles_between_modules() -> None:
+    assert circle_in(imports_of_modules()) == []
+
+
+def test_no_circles_between_sub_folders() -> None:
+    rooms: dict[str, set[str]] = {}
+    for module, targets in imports_of_modules().items():
+        room = room_of(module)
+        rooms.setdefault(room, set()).update({room_of(t) for t in targets} - {room})
+    assert circle_in(rooms) == []
+
+
+@pytest.mark.parametrize('folder', sorted({p.parent for p in FILES}), ids=lambda p: p.name)
+def test_no_folder_holds_more_than_20_modules(folder: Path) -> None:
+    assert len(list(folder.glob('[!_]*.py'))) <= 20
 
 
 def test_importing_the_package_is_cheap() -> None:

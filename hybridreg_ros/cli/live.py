@@ -72,7 +72,7 @@ def replay_live(job: session.Job, options: LiveOptions) -> ReportRun:
         HybridRegError: the node did not start or went silent.
     """
     try:
-        from hybridreg_ros.ros import live
+        from hybridreg_ros.ros.playback import live
     except ModuleNotFoundError as error:
         raise DependencyError(
             f"--live needs {error.name}: pip install 'hybridreg_ros[ros]', or source ROS 2 Jazzy"

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 PACKAGE = Path(__file__).resolve().parents[1]
 HASH_DIGITS = 16
 _IMPORT = re.compile(r'^from (hybridreg_ros[\w.]*) import (\([^)]*\)|[^\n(]+)', re.MULTILINE)
-_USES_KERNELS = re.compile(r'^from hybridreg_ros\.core(\.jit import| import .*\bjit\b)', re.M)
+_HAS_KERNELS = re.compile(r'^from hybridreg_ros\.core\.jit import .*\bcompiled\b', re.MULTILINE)
 _log = logging.getLogger(__name__)
 
 
@@ -91,7 +91,7 @@ def kernel_sources() -> list[Path]:
     """
     files = {_name(p): p for p in PACKAGE.rglob('*.py')}
     texts = {name: p.read_text(encoding='utf-8') for name, p in files.items()}
-    found = {name for name, text in texts.items() if _USES_KERNELS.search(text)}
+    found = {name for name, text in texts.items() if _HAS_KERNELS.search(text)}
     waiting = list(found)
     while waiting:
         new = {m for m in _imported(texts[waiting.pop()]) if m in texts} - found

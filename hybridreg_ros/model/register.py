@@ -28,7 +28,10 @@ from hybridreg_ros.model.pose.confidence import Calibration, features_of
 from hybridreg_ros.model.pose.evidence import evidence_of, trusted_fit
 from hybridreg_ros.model.pose.posterior import posterior_sigma2
 from hybridreg_ros.model.pose.refine import refine
-from hybridreg_ros.model.pose.retry import (
+from hybridreg_ros.model.pose.score import opinions_of
+from hybridreg_ros.model.pose.verify import proposals_of, verify, view_of
+from hybridreg_ros.model.result import Correspondences, RegistrationResult
+from hybridreg_ros.model.retry import (
     exchanged,
     frames_of,
     in_order,
@@ -36,9 +39,6 @@ from hybridreg_ros.model.pose.retry import (
     rotated,
     rotated_back,
 )
-from hybridreg_ros.model.pose.score import opinions_of
-from hybridreg_ros.model.pose.verify import proposals_of, verify, view_of
-from hybridreg_ros.model.result import Correspondences, RegistrationResult
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

@@ -17,8 +17,7 @@ from hybridreg_ros.odometry.intake import Intake
 from hybridreg_ros.odometry.motion.prediction import Motion
 from hybridreg_ros.odometry.preprocess import preprocess, recognise_sensor
 from hybridreg_ros.odometry.registration import covariance
-from hybridreg_ros.odometry.result import OdometryResult, Reason, Source
-from hybridreg_ros.odometry.stopwatch import Watch
+from hybridreg_ros.odometry.result import OdometryResult, Reason, Source, Watch
 from hybridreg_ros.odometry.tracker import Tracker
 
 if TYPE_CHECKING:
@@ -27,10 +26,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.core.scan import Scan
-    from hybridreg_ros.odometry.estimate import Estimate
     from hybridreg_ros.odometry.preprocessed import Cloud
     from hybridreg_ros.odometry.selection.candidates import Candidate
     from hybridreg_ros.odometry.selection.reported_confidence import Claim
+    from hybridreg_ros.odometry.tracker import Estimate
 
 _log = logging.getLogger(__name__)
 

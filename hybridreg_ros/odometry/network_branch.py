@@ -18,8 +18,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.odometry.keyframes import Keyframe
-    from hybridreg_ros.odometry.registrar import Match, Registrar
-    from hybridreg_ros.odometry.stopwatch import Watch
+
+    pass
+    from hybridreg_ros.odometry.result import Watch
+
+
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
 
 _log = logging.getLogger(__name__)
 
@@ -140,3 +149,39 @@ class LearnedBranch:
             match.uncertainty,
             keyframe,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """A scan aligned with a keyframe.
+
+    Attributes:
+        T_keyframe_scan: (4, 4) float64, metres.
+        confidence: calibrated P(transform right), [0, 1].
+        uncertainty: (N,) float32, sigma^2 in [0, 1] per point of the scan; 1 = do not trust
+            (moving, deforming or not seen by the keyframe).
+        inliers: number of correspondences that agree with the transform.
+    """
+
+    T_keyframe_scan: NDArray[np.float64]
+    confidence: float
+    uncertainty: NDArray[np.float32]
+    inliers: int
+
+
+class Registrar(Protocol):
+    """Global registration of a scan against a keyframe; a scan is encoded once."""
+
+    def encode(self, points: NDArray[np.float32]) -> Any:
+        """Encoding of one cloud (N, 3), sensor frame, metres, kept with a keyframe.
+
+        Raises:
+            RegistrationError: too few points, or no extent.
+        """
+
+    def match(self, scan: Any, keyframe: Any) -> Match:
+        """Align the encoding of a scan with that of a keyframe.
+
+        Raises:
+            RegistrationError: the encodings cannot be matched.
+        """

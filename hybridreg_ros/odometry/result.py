@@ -16,6 +16,13 @@ if TYPE_CHECKING:
 
     from hybridreg_ros.core.scan import Scan
 
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
 LOST_VARIANCE = 9999.0
 """Diagonal of the covariance (m^2, rad^2) of a pose that must not be used (as rtabmap_ros)."""
 
@@ -90,3 +97,21 @@ class OdometryResult:
     def stamp(self) -> int:
         """Stamp of the scan, ns."""
         return self.scan.stamp
+
+
+class Watch:
+    """Books the time of one step under its stages."""
+
+    def __init__(self) -> None:
+        self._start = self._last = perf_counter()
+        self._laps: dict[str, float] = {}
+
+    def lap(self, stage: str) -> None:
+        """Book the time since the last lap under a stage."""
+        now = perf_counter()
+        self._laps[stage] = self._laps.get(stage, 0.0) + now - self._last
+        self._last = now
+
+    def laps(self) -> Mapping[str, float]:
+        """Seconds per stage, and `total`."""
+        return {**self._laps, 'total': perf_counter() - self._start}

@@ -5,20 +5,19 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.odometry.estimate import Estimate, nothing
+from hybridreg_ros.odometry.locator import Locator
 from hybridreg_ros.odometry.network_branch import LearnedBranch
 from hybridreg_ros.odometry.registration import covariance
 from hybridreg_ros.odometry.registration.scan_continuity import Trail
 from hybridreg_ros.odometry.result import Reason, Source
 from hybridreg_ros.odometry.selection import calibration
 from hybridreg_ros.odometry.selection.candidates import Located
-from hybridreg_ros.odometry.selection.locator import Locator
 from hybridreg_ros.odometry.world import Scene
 
 if TYPE_CHECKING:
@@ -27,11 +26,12 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.config import OdometryConfig
     from hybridreg_ros.odometry.keyframes import Keyframe
     from hybridreg_ros.odometry.motion.prediction import Motion
+    from hybridreg_ros.odometry.network_branch import Registrar
     from hybridreg_ros.odometry.preprocess import SensorModel
     from hybridreg_ros.odometry.preprocessed import Cloud
-    from hybridreg_ros.odometry.registrar import Registrar
+    from hybridreg_ros.odometry.result import Watch
     from hybridreg_ros.odometry.selection.candidates import Candidate
-    from hybridreg_ros.odometry.stopwatch import Watch
+    from hybridreg_ros.odometry.selection.reported_confidence import Claim
 
     F64 = NDArray[np.float64]
 
@@ -271,3 +271,28 @@ class Tracker:
             keyframe_id=0 if last is None else last.number,
             is_keyframe=is_keyframe,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What the tracker says about one cloud; fields as in OdometryResult.
+
+    `reported` is the pose at the instant that is asked for, None where only the velocity between
+    scans leads there; `claim` is what the confidence follows from, None where it is 0.
+    """
+
+    pose: F64
+    covariance: F64
+    source: Source
+    reason: Reason
+    confidence: float
+    dynamic_probability: NDArray[np.float32]
+    keyframe_id: int
+    is_keyframe: bool
+    reported: F64 | None = None
+    claim: Claim | None = None
+
+
+def nothing(cloud: Cloud) -> NDArray[np.float32]:
+    """P(dynamic) (N,) of a cloud of which nothing is known: zero."""
+    return np.zeros(len(cloud.points), np.float32)

@@ -15,7 +15,8 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import ConfigError, RegistrationError
 from hybridreg_ros.model.config import ModelConfig
 from hybridreg_ros.model.pose.confidence import ConfidenceFeatures
-from hybridreg_ros.model.pose.retry import (
+from hybridreg_ros.model.result import Correspondences, RegistrationResult
+from hybridreg_ros.model.retry import (
     FRAMES,
     NARROW_FRAMES,
     exchanged,
@@ -25,7 +26,6 @@ from hybridreg_ros.model.pose.retry import (
     rotated,
     rotated_back,
 )
-from hybridreg_ros.model.result import Correspondences, RegistrationResult
 
 if TYPE_CHECKING:
     from hybridreg_ros.model.network.network import HybridRegNet

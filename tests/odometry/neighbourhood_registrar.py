@@ -10,7 +10,7 @@ import numpy as np
 import small_gicp
 
 from hybridreg_ros.core.errors import RegistrationError
-from hybridreg_ros.odometry.registrar import Match
+from hybridreg_ros.odometry.network_branch import Match
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

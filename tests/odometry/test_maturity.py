@@ -12,8 +12,7 @@ import pytest
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.map.local_map import LocalMap
-from hybridreg_ros.odometry.registration.alignment import refine
-from hybridreg_ros.odometry.registration.maturity import by_age
+from hybridreg_ros.odometry.registration.alignment import by_age, refine
 from hybridreg_ros.odometry.registration.surfaces import Surfaces
 
 CONFIG = OdometryConfig().refine

@@ -16,8 +16,7 @@ from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.map.local_map import LocalMap
 from hybridreg_ros.odometry.motion.prediction import Expected
 from hybridreg_ros.odometry.preprocess import preprocess, recognise_sensor
-from hybridreg_ros.odometry.registration.alignment import refine
-from hybridreg_ros.odometry.registration.settle import settle
+from hybridreg_ros.odometry.registration.alignment import refine, settle
 
 if TYPE_CHECKING:
     from hybridreg_ros.odometry.preprocessed import Cloud

@@ -27,7 +27,7 @@ from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.ros import fastdds
 from hybridreg_ros.ros.conversions import to_ns, to_pointcloud2, to_time
 from hybridreg_ros.ros.node_config import NodeConfig
-from hybridreg_ros.ros.node_process import LOCALHOST, NodeProcess
+from hybridreg_ros.ros.playback.node_process import LOCALHOST, NodeProcess
 from hybridreg_ros.ros.qos import profile
 
 if TYPE_CHECKING:

@@ -24,9 +24,9 @@ from ros_harness import QUICK, Probe, domain, running
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 
-from hybridreg_ros.ros.bag_player import main
 from hybridreg_ros.ros.conversions import to_ns
-from hybridreg_ros.ros.node_process import LOCALHOST
+from hybridreg_ros.ros.playback.bag_player import main
+from hybridreg_ros.ros.playback.node_process import LOCALHOST
 from hybridreg_ros.ros.qos import profile
 
 pytestmark = pytest.mark.ros
@@ -36,7 +36,7 @@ START_NS, STEP_NS = 1_000_000_000_000, 100_000_000
 
 def start(bag, *arguments: str, ros: tuple[str, ...] = ()) -> subprocess.Popen[str]:
     """The player in its own process."""
-    command = [sys.executable, '-m', 'hybridreg_ros.ros.bag_player', str(bag), *arguments]
+    command = [sys.executable, '-m', 'hybridreg_ros.ros.playback.bag_player', str(bag), *arguments]
     environment = {**os.environ, **LOCALHOST, 'ROS_DOMAIN_ID': str(domain())}
     return subprocess.Popen(
         [*command, '--ros-args', *ros], env=environment, text=True,

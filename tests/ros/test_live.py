@@ -20,8 +20,8 @@ from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.replay.bag_reader import open_bag
 from hybridreg_ros.replay.bag_writer import BagWriter
 from hybridreg_ros.ros.conversions import from_pose, to_ns
-from hybridreg_ros.ros.live import run_live
 from hybridreg_ros.ros.node_config import NodeConfig
+from hybridreg_ros.ros.playback.live import run_live
 
 pytestmark = pytest.mark.ros
 

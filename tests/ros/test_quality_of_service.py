@@ -92,7 +92,7 @@ def test_what_a_full_history_overwrites_is_counted(probe):
 @pytest.mark.slow
 def test_full_size_clouds_reach_the_node_without_a_loss():
     from hybridreg_ros.odometry.config import OdometryConfig
-    from hybridreg_ros.ros.transport_check import check_transport
+    from hybridreg_ros.ros.playback.transport_check import check_transport
 
     report = check_transport(300, 10.0, 120_000, OdometryConfig(registrar='kiss-icp'))
     assert report.cloud_bytes >= 120_000 * 32
@@ -107,7 +107,13 @@ def test_full_size_clouds_reach_the_node_without_a_loss():
 @pytest.mark.slow
 def test_losses_of_the_default_transport_are_counted():
     environment = {k: v for k, v in os.environ.items() if 'PROFILES_FILE' not in k}
-    command = [sys.executable, '-m', 'hybridreg_ros.ros.transport_check', '--frames', '40']
+    command = [
+        sys.executable,
+        '-m',
+        'hybridreg_ros.ros.playback.transport_check',
+        '--frames',
+        '40',
+    ]
     done = subprocess.run(
         [*command, '--registrar', 'kiss-icp'], env={**environment, 'HYBRIDREG_FASTDDS': 'off'},
         capture_output=True, text=True, timeout=200, check=False,
@@ -118,7 +124,7 @@ def test_losses_of_the_default_transport_are_counted():
 
 def test_many_small_clouds_reach_the_node():
     from hybridreg_ros.odometry.config import OdometryConfig
-    from hybridreg_ros.ros.transport_check import check_transport, hall
+    from hybridreg_ros.ros.playback.transport_check import check_transport, hall
 
     assert np.isfinite(hall(100)).all()
     report = check_transport(20, 40.0, 30_000, OdometryConfig(registrar='kiss-icp'))

@@ -20,9 +20,9 @@ from ros_harness import KISS, QUICK, STEP_NS, cloud, domain, room, running
 
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.ros import odometry_node
-from hybridreg_ros.ros.node_process import LOCALHOST
 from hybridreg_ros.ros.odometry_node import main
 from hybridreg_ros.ros.parameters import leaves
+from hybridreg_ros.ros.playback.node_process import LOCALHOST
 
 pytestmark = pytest.mark.ros
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from hybridreg_ros.core.pages import zeros
 from hybridreg_ros.core.scan import NS_PER_S
-from hybridreg_ros.odometry.map import pointrows, voxel_map
+from hybridreg_ros.odometry.map import voxel_map
 from hybridreg_ros.odometry.map.voxel_map import Grid
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class VoxelLevel:
             size=self.size_m,
             most=self._per_voxel,
             **_no_voxels(_START_VOXELS),
-            free=pointrows.none_taken(self._per_voxel),
+            free=voxel_map.none_taken(self._per_voxel),
             **_no_points(_START_POINTS),
             by_mass=self._by_mass,
         )
@@ -106,7 +106,7 @@ class VoxelLevel:
                 values[:rows] = getattr(old, name)
             self.grid = old._replace(**more)
         else:
-            free = pointrows.none_taken(self._per_voxel)
+            free = voxel_map.none_taken(self._per_voxel)
             self.grid = old._replace(free=free, **_no_points(rows))
             voxel_map.pack(old, self.grid, self.used)
 

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray  # noqa: TC002 (numba reads the annotations of Grid)
 
 from hybridreg_ros.core.jit import compiled
-from hybridreg_ros.odometry.map import pointrows
 from hybridreg_ros.odometry.map.voxel_hash import EMPTY, add_voxel, find_voxel, voxel_key
 
 
@@ -127,7 +126,7 @@ def insert(points, weights, origin, now_s, spacing_sq, grid, used):  # type: ign
 @compiled
 def _settle(voxel, grid):  # type: ignore[no-untyped-def]
     """Give a new voxel its first row; false when there is none."""
-    start = pointrows.take(1, grid.free, grid.fitted)
+    start = take(1, grid.free, grid.fitted)
     if start < 0:
         return False
     grid.spans[voxel, 0], grid.spans[voxel, 1], grid.spans[voxel, 2] = start, 0, 1
@@ -138,13 +137,13 @@ def _settle(voxel, grid):  # type: ignore[no-untyped-def]
 def _move(voxel, grid):  # type: ignore[no-untyped-def]
     """Move a full voxel to more rows; false when there are none."""
     start, count, room = grid.spans[voxel, 0], grid.spans[voxel, 1], grid.spans[voxel, 2]
-    larger = pointrows.longer(room, grid.most)
-    to = pointrows.take(larger, grid.free, grid.fitted)
+    larger = longer(room, grid.most)
+    to = take(larger, grid.free, grid.fitted)
     if to < 0:
         return False
     for i in range(count):
         _copy(grid, start + i, grid, to + i)
-    pointrows.give_back(start, room, grid.free, grid.fitted)
+    give_back(start, room, grid.free, grid.fitted)
     grid.spans[voxel, 0], grid.spans[voxel, 2] = to, larger
     return True
 
@@ -176,7 +175,7 @@ def pack(source, grid, used):  # type: ignore[no-untyped-def]
     for voxel in range(used):
         start, count = source.spans[voxel, 0], source.spans[voxel, 1]
         room = max(1, count)
-        to = pointrows.take(room, grid.free, grid.fitted)
+        to = take(room, grid.free, grid.fitted)
         for i in range(count):
             _copy(source, start + i, grid, to + i)
         grid.spans[voxel, 0], grid.spans[voxel, 2] = to, room
@@ -193,7 +192,7 @@ def keep_near(centre, reach_sq, grid, used):  # type: ignore[no-untyped-def]
         dy = grid.store[start, 1] - centre[1]
         dz = grid.store[start, 2] - centre[2]
         if count == 0 or dx * dx + dy * dy + dz * dz > reach_sq:
-            pointrows.give_back(start, room, grid.free, grid.fitted)
+            give_back(start, room, grid.free, grid.fitted)
             continue
         grid.keys[kept] = grid.keys[voxel]
         grid.spans[kept] = grid.spans[voxel]
@@ -299,3 +298,49 @@ def gather(spans, store, used):  # type: ignore[no-untyped-def]
         points[row : row + count] = store[start : start + count]
         row += count
     return points
+
+
+@compiled
+def none_taken(longest):  # type: ignore[no-untyped-def]
+    """Free rows (F,) int32 while none is in use: heads of chains, and the first row never taken.
+
+    Args:
+        longest: rows of the longest run. Entry n is the first row of a run of n that was given
+            back, -1 = there is none; the last entry is the first row that was never taken.
+    """
+    free = np.full(longest + 2, -1, np.int32)
+    free[-1] = 0
+    return free
+
+
+@compiled
+def longer(room, longest):  # type: ignore[no-untyped-def]
+    """Rows of the next longer run: half as many again."""
+    return min(room + max(1, room // 2), longest)
+
+
+@compiled
+def take(room, free, following):  # type: ignore[no-untyped-def]
+    """First row of a run of so many rows, or -1 when the arrays are full.
+
+    Args:
+        room: rows wanted.
+        free: (F,) as `none_taken` gives it, changed in place.
+        following: (P,) int32, one per row; of a free run, its first holds the next run's.
+    """
+    row = free[room]
+    if row >= 0:
+        free[room] = following[row]
+        return row
+    row = free[-1]
+    if row + room > len(following):
+        return -1
+    free[-1] = row + room
+    return row
+
+
+@compiled
+def give_back(row, room, free, following):  # type: ignore[no-untyped-def]
+    """Let a run of `room` rows from `row` on be taken again; other arguments as in `take`."""
+    following[row] = free[room]
+    free[room] = row

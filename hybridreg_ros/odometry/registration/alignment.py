@@ -13,7 +13,6 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.odometry.motion.intra_scan_motion import NO_SWAY, Sway
 from hybridreg_ros.odometry.registration import intra_scan_update, kernels
 from hybridreg_ros.odometry.registration.cluster_covariance import scatter
-from hybridreg_ros.odometry.registration.maturity import by_age
 from hybridreg_ros.odometry.registration.surfaces import Surfaces
 
 if TYPE_CHECKING:
@@ -22,6 +21,21 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.config import RefineConfig
     from hybridreg_ros.odometry.map.local_map import LocalMap, VoxelLevel
     from hybridreg_ros.odometry.motion.prediction import Expected
+    from hybridreg_ros.odometry.preprocessed import Cloud
+
+from typing import TYPE_CHECKING
+
+from hybridreg_ros.odometry.registration.kernels import NONE
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hybridreg_ros.odometry.config import RefineConfig
+
+    F64 = NDArray[np.float64]
+
+
+from typing import TYPE_CHECKING
 
 Basin = Literal['coarse', 'middle', 'fine']
 
@@ -303,3 +317,67 @@ def _iterate(
             return se3.orthonormalise(T), True, surfaces
         floor *= config.anneal
     return se3.orthonormalise(T), False, surfaces
+
+
+_FULL = 0.8
+"""Quantile of the weights of the trusted points that is raised to 1: only the difference between
+old and young counts, so a scan that sees nothing old is held as firmly as one that does."""
+
+
+_FEW = 50
+"""Of fewer points with surfaces, no quantile is taken."""
+
+
+def by_age(trust: F64, surfaces: Surfaces, age_s: float, config: RefineConfig) -> F64:
+    """Weights (N,) of points, lowered where the surfaces that they meet are young.
+
+    A thing that moves without being known for it leaves new surfaces behind wherever it comes,
+    and the next scan, in which it has moved on a little, is drawn along by them. What stands still
+    keeps its surfaces, however the sensor moves. New surfaces also share the error of the last
+    pose, which would be handed on.
+
+    Args:
+        trust: (N,) weights in [0, 1].
+        surfaces: of N points, as searched last.
+        age_s: age of the map; while that is less than `mature_s`, its first surfaces count fully.
+        config: `mature_s` and `young`.
+    """
+    span_s = min(config.mature_s, age_s)
+    used = (surfaces.kind != NONE) & (trust > 0.5)
+    if span_s <= 0.0 or used.sum() < _FEW:
+        return trust
+    share = np.clip((age_s - surfaces.born) / span_s, 0.0, 1.0)
+    weight = config.young + (1.0 - config.young) * share
+    full = max(float(np.quantile(weight[used], _FULL)), 1e-6)
+    lowered: F64 = trust * np.minimum(1.0, weight / full)
+    return lowered
+
+
+def settle(
+    cloud: Cloud,
+    T_odom_sensor: NDArray[np.float64],
+    local_map: LocalMap,
+    config: RefineConfig,
+    weights: NDArray[np.floating] | None = None,
+    basin: Basin = 'fine',
+    prior: Expected | None = None,
+) -> Fit:
+    """Align a cloud with the map, from a first guess, as `refine` does its registered points.
+
+    The information is that of the points that count as independent, and so is their weight
+    against what the motion so far expects.
+
+    Args:
+        cloud: the preprocessed scan, K registered points.
+        T_odom_sensor: (4, 4) first guess.
+        local_map: the map.
+        config: settings.
+        weights: (K,) trust per registered point in [0, 1], or None for all equal.
+        basin: level to start on.
+        prior: pose that the motion so far expects, or None.
+    """
+    share = cloud.icp_share
+    held = None if prior is None else prior.widened(share**0.5, share**0.5)
+    points, times = cloud.icp_points, cloud.icp_times
+    fit = refine(points, T_odom_sensor, local_map, config, weights, basin, times, held)
+    return replace(fit, information=share * fit.information)

@@ -11,9 +11,8 @@ import numpy as np
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.odometry.map.thinning import first_per_voxel
-from hybridreg_ros.odometry.registration.alignment import assess, pull_in
+from hybridreg_ros.odometry.registration.alignment import assess, pull_in, settle
 from hybridreg_ros.odometry.registration.kiss import KissRegistration
-from hybridreg_ros.odometry.registration.settle import settle
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

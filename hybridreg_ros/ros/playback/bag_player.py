@@ -15,8 +15,8 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.utilities import remove_ros_args
 
 from hybridreg_ros.core.errors import HybridRegError
-from hybridreg_ros.ros.flow import Flow
-from hybridreg_ros.ros.player import Player, PlayOptions, PlayReport
+from hybridreg_ros.ros.playback.flow import Flow
+from hybridreg_ros.ros.playback.player import Player, PlayOptions, PlayReport
 from hybridreg_ros.ros.session import ros_session
 
 if TYPE_CHECKING:

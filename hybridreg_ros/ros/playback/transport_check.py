@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Do full-size clouds reach the real node without a loss? Measured, with sensor-data QoS.
 
-python -m hybridreg_ros.ros.transport_check --frames 300 --rate 10 --points 120000
+python -m hybridreg_ros.ros.playback.transport_check --frames 300 --rate 10 --points 120000
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from std_msgs.msg import Header
 from hybridreg_ros.core.pointcloud2 import from_arrays
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.config import OdometryConfig
-from hybridreg_ros.ros.bag_player import spinning
 from hybridreg_ros.ros.conversions import to_pointcloud2, to_time
-from hybridreg_ros.ros.flow import Flow
-from hybridreg_ros.ros.live import own_node
 from hybridreg_ros.ros.node_config import NodeConfig
-from hybridreg_ros.ros.node_process import NodeProcess
+from hybridreg_ros.ros.playback.bag_player import spinning
+from hybridreg_ros.ros.playback.flow import Flow
+from hybridreg_ros.ros.playback.live import own_node
+from hybridreg_ros.ros.playback.node_process import NodeProcess
 from hybridreg_ros.ros.qos import profile
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.odometry.registration import covariance
-from hybridreg_ros.odometry.registration.settle import settle
+from hybridreg_ros.odometry.registration.alignment import settle
 from hybridreg_ros.odometry.result import Reason, Source
 from hybridreg_ros.odometry.selection import candidates, reported_confidence
 from hybridreg_ros.odometry.selection.candidates import (
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.preprocess import SensorModel
     from hybridreg_ros.odometry.preprocessed import Cloud
     from hybridreg_ros.odometry.registration.alignment import Fit
-    from hybridreg_ros.odometry.stopwatch import Watch
+    from hybridreg_ros.odometry.result import Watch
     from hybridreg_ros.odometry.world import Scene
 
     F64 = NDArray[np.float64]

@@ -75,13 +75,19 @@ def cache_folder() -> Path:
 
 
 def is_filled() -> bool:
-    """Whether `mark_filled` was called for these sources: nothing is left to compile."""
-    return (cache_folder() / 'filled').exists()
+    """Whether `mark_filled` was called for these sources as they lie here: all is compiled."""
+    return _mark().exists()
 
 
 def mark_filled() -> None:
     """Note that every kernel in use was compiled."""
-    (cache_folder() / 'filled').touch()
+    _mark().touch()
+
+
+def _mark() -> Path:
+    """The note of `mark_filled`; numba drops the code of a file that was written again."""
+    times = ' '.join(str(p.stat().st_mtime_ns) for p in kernel_sources())
+    return cache_folder() / f'filled-{hashlib.sha256(times.encode()).hexdigest()[:HASH_DIGITS]}'
 
 
 def kernel_sources() -> list[Path]:
@@ -101,13 +107,13 @@ def kernel_sources() -> list[Path]:
 
 
 def _key() -> str:
-    """Hash of sources, numba, numpy and processor."""
+    """Hash of sources and their places, numba, numpy and processor."""
     digest = hashlib.sha256()
     versions = (numba.__version__, llvmlite.__version__, np.__version__)
     for word in (*versions, llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()):
         digest.update(f'{word}\n'.encode())
     for path in kernel_sources():
-        digest.update(path.relative_to(PACKAGE).as_posix().encode() + path.read_bytes())
+        digest.update(str(path).encode() + path.read_bytes())
     return digest.hexdigest()[:HASH_DIGITS]
 
 

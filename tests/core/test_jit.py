@@ -24,7 +24,9 @@ print(int((np.abs(surface_normals(points, near)).max(axis=1) > 0.0).sum()))
 
 
 def run(tmp_path, code):
-    environment = dict(os.environ, PYTHONPATH=str(tmp_path), NUMBA_CACHE_DIR=str(tmp_path / 'c'))
+    environment = dict(
+        os.environ, PYTHONPATH=str(tmp_path), NUMBA_CACHE_DIR=str(tmp_path.parent / 'c')
+    )
     command = [sys.executable, '-c', code]
     done = subprocess.run(
         command, env=environment, check=True, capture_output=True, text=True, cwd=tmp_path
@@ -89,3 +91,17 @@ def test_a_file_in_the_way_of_the_folder_is_named_in_a_warning(tmp_path, monkeyp
         assert 'NUMBA_CACHE_DIR' in caplog.text
     finally:
         jit.cache_folder.cache_clear()
+
+
+def test_a_file_written_again_or_elsewhere_is_not_taken_for_compiled(tmp_path):
+    copies = [tmp_path / name / 'hybridreg_ros' for name in ('one', 'two')]
+    for copy in copies:
+        shutil.copytree(jit.PACKAGE, copy, ignore=shutil.ignore_patterns('__pycache__'))
+    ask = 'from hybridreg_ros.core import jit; print(jit.is_filled())'
+    fill = 'from hybridreg_ros.core import jit; jit.mark_filled()'
+    for name, code, expected in (
+        ('one', ask, 'False'), ('one', fill, ''), ('one', ask, 'True'), ('two', ask, 'False')
+    ):  # fmt: skip
+        assert run(tmp_path / name, code) == expected
+    os.utime(copies[0] / 'core' / 'eigen.py', (1.0, 1.0))
+    assert run(tmp_path / 'one', ask) == 'False'

@@ -24,6 +24,8 @@ from hybridreg_ros.model.attempts import (
     rotated,
     rotated_back,
 )
+from hybridreg_ros.model.budget import Budget, Sequence
+from hybridreg_ros.model.budget import voxel_size_m as chosen_voxel_m
 from hybridreg_ros.model.checkpoint import load_checkpoint, packaged_weights
 from hybridreg_ros.model.confidence import Calibration, features_of
 from hybridreg_ros.model.estimators import judged
@@ -37,7 +39,6 @@ from hybridreg_ros.model.score import opinions_of
 from hybridreg_ros.model.settled import settled
 from hybridreg_ros.model.spread import values_of_inputs
 from hybridreg_ros.model.verify import proposals_of, verify, view_of
-from hybridreg_ros.model.voxel_size import choose_voxel_size_m
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -81,7 +82,6 @@ class HybridReg:
         self.net = (HybridRegNet(config) if net is None else net).eval()
         self.calibration = calibration or Calibration()
         self.provenance: Mapping[str, object] = {}
-        self.voxel_size_m: float | None = None
 
     @classmethod
     def from_pretrained(cls, path: str | Path | None = None) -> HybridReg:
@@ -95,14 +95,23 @@ class HybridReg:
         model.provenance = checkpoint.provenance
         return model
 
-    def encode(self, points: ArrayLike, voxel_size_m: float | None = None) -> EncodedCloud:
+    def sequence(self, budget: Budget | None = None) -> Sequence:
+        """An encoder of clouds of one sensor, whose first cloud chooses the voxel of all."""
+        return Sequence(self, budget)
+
+    def encode(
+        self,
+        points: ArrayLike,
+        voxel_size_m: float | None = None,
+        budget: Budget | None = None,
+    ) -> EncodedCloud:
         """Everything about one cloud that does not need the other.
 
         Args:
             points: (N, 3) sensor frame, metres; rows with NaN or inf are ignored.
-            voxel_size_m: finest voxel. None chooses it from the first cloud that this object
-                encodes without one and keeps it (`self.voxel_size_m`), for only clouds of one
-                voxel size can be matched.
+            voxel_size_m: finest voxel. None chooses it from this cloud; only clouds of one voxel
+                size can be matched, so give it, or use `sequence`.
+            budget: by which a voxel that is not given is chosen; None: the full size.
 
         Raises:
             RegistrationError: too few points, no extent, or coordinates that cannot be metres.
@@ -110,7 +119,7 @@ class HybridReg:
         start = time.perf_counter()
         cloud = _as_cloud(points)
         if voxel_size_m is None:
-            voxel_size_m = self.voxel_size_m = self.voxel_size_m or self._voxel_m(cloud)
+            voxel_size_m = self._voxel_m(cloud, budget=budget)
         return settled(self._encoded(cloud, float(voxel_size_m), start))
 
     def _encoded(
@@ -138,12 +147,16 @@ class HybridReg:
             known = encoding.result()
         return first, EncodedCloud(known, view, len(large), time.perf_counter() - start)
 
-    def _voxel_m(self, *clouds: NDArray[np.float32]) -> float:
+    def _voxel_m(self, *clouds: NDArray[np.float32], budget: Budget | None = None) -> float:
         """Finest voxel for clouds that nobody gave one for, metres."""
-        return self.config.voxel_factor * choose_voxel_size_m(*clouds)
+        return chosen_voxel_m(*clouds, factor=self.config.voxel_factor, budget=budget)
 
     def register(
-        self, source: ArrayLike, target: ArrayLike, voxel_size_m: float | None = None
+        self,
+        source: ArrayLike,
+        target: ArrayLike,
+        voxel_size_m: float | None = None,
+        budget: Budget | None = None,
     ) -> RegistrationResult:
         """Register two clouds, again in other ways while the result leaves doubt.
 
@@ -152,17 +165,27 @@ class HybridReg:
             target: (M, 3) target frame, metres.
             voxel_size_m: finest voxel; None chooses one from both clouds (0.05 m in rooms, 0.3 m
                 in streets, times `ModelConfig.voxel_factor`).
+            budget: by which a voxel that is not given is chosen; None: the full size. When the
+                attempt within the budget leaves doubt, the next one is made at the full size.
 
         Raises:
             RegistrationError: a cloud has too few points or no extent, or is not in metres.
         """
         clouds = _as_cloud(source), _as_cloud(target)
-        voxel = self._voxel_m(*clouds) if voxel_size_m is None else float(voxel_size_m)
+        full = self._voxel_m(*clouds) if voxel_size_m is None else float(voxel_size_m)
+        voxel = full
+        if budget is not None and voxel_size_m is None:
+            voxel = self._voxel_m(*clouds, budget=budget)
         first, encoded = self._attempt(*clouds, voxel)
-        return self.retry(first, encoded, *clouds)
+        return self.retry(first, encoded, *clouds, finer_m=full if full < voxel else None)
 
     def retry(
-        self, first: RegistrationResult, encoded: Encoded, source: ArrayLike, target: ArrayLike
+        self,
+        first: RegistrationResult,
+        encoded: Encoded,
+        source: ArrayLike,
+        target: ArrayLike,
+        finer_m: float | None = None,
     ) -> RegistrationResult:
         """Further attempts at a pair for as long as there is doubt: the other way round, rotated.
 
@@ -174,6 +197,7 @@ class HybridReg:
             encoded: source and target as they were matched in it.
             source: (N, 3) source frame, metres, as for the first attempt.
             target: (M, 3) target frame, metres.
+            finer_m: voxel of one attempt at a finer size, made before all others; None: none.
         """
         clouds = _as_cloud(source), _as_cloud(target)
 
@@ -183,6 +207,8 @@ class HybridReg:
             return result if straight else exchanged(result)
 
         def ways() -> Iterator[Callable[[], RegistrationResult]]:
+            if finer_m is not None:
+                yield lambda: self._attempt(*clouds, finer_m)[0]
             yield lambda: exchanged(self.match(*encoded[::-1]))
             straight = in_order(*clouds)
             for R in frames_of(*clouds):

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -68,8 +67,7 @@ def _warm_up(config: OdometryConfig, model: Any) -> None:
     points = rng.uniform(-half, half, (8000, 3))
     axis = rng.integers(0, 3, len(points))
     points[np.arange(len(points)), axis] = half[axis] * rng.choice([-1.0, 1.0], len(points))
-    # A copy: the registrar keeps the voxel size of the first cloud it sees, which is not this one.
-    for branch in (None, copy(model)):
+    for branch in (None, model):
         front_end = HybridOdometry(config, model=branch)
         for k in range(_WARM_UP_SCANS):
             moved = (points - [0.05 * k, 0.0, 0.0]).astype(np.float32)

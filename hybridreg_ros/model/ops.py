@@ -209,7 +209,7 @@ def _angle_bins(
         s = np.sqrt(cx * cx + cy * cy + cz * cz)
         c = ux * x[m] + uy * y[m] + uz * z[m]
         a = abs(c)
-        t = min(s, a) / max(max(s, a), least)
+        t = min(s, a) / max(s, a, least)
         q = t * t
         p = np.float32(-0.0161657367) + q * np.float32(0.0028662257)
         p = np.float32(0.0429096138) + q * p

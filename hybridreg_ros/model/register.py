@@ -12,10 +12,10 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import RegistrationError
+from hybridreg_ros.model import forward
 from hybridreg_ros.model.attempts import (
     exchanged,
     frames_of,
@@ -130,9 +130,8 @@ class HybridReg:
         encoding, view = self._encoding(pyramid), view_of(pyramid)
         return EncodedCloud(encoding, view, len(cloud), time.perf_counter() - start)
 
-    @torch.no_grad()
     def _encoding(self, pyramid: Pyramid) -> Encoding:
-        return dataclasses.replace(self.net.encode(pyramid), pyramid=pyramid.encoded)
+        return dataclasses.replace(forward.encode(self.net, pyramid), pyramid=pyramid.encoded)
 
     def _encode_both(
         self, small: NDArray[np.float32], large: NDArray[np.float32], voxel_size_m: float
@@ -247,8 +246,8 @@ class HybridReg:
         views = source.view, target.view
         with ThreadPoolExecutor(1) as beside:
             proposed = beside.submit(proposals_of, source, target) if self._verifies else None
-            with torch.no_grad():
-                found = self.net.match(source.encoding, target.encoding)
+            coarse = forward.correlate(self.net, source.encoding, target.encoding)
+            found = self.net.match(source.encoding, target.encoding, coarse)
             middle = time.perf_counter()
             evidence = beside.submit(evidence_of, source, target, found)
             estimate, verified = found.estimate, None

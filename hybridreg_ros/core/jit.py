@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 PACKAGE = Path(__file__).resolve().parents[1]
 HASH_DIGITS = 16
 _IMPORT = re.compile(r'^from (hybridreg_ros[\w.]*) import (\([^)]*\)|[^\n(]+)', re.MULTILINE)
-_HAS_KERNELS = re.compile(r'^from hybridreg_ros\.core\.jit import .*\bcompiled\b', re.MULTILINE)
+_HAS_KERNELS = re.compile(r'^from hybridreg_ros\.core\.jit import .*\bcompiled', re.MULTILINE)
 _log = logging.getLogger(__name__)
 
 
@@ -38,13 +38,24 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
     Machine code is kept in `cache_folder()`.
     """
+    return _compiled(function, fastmath=False)
+
+
+def compiled_fast(function: Callable[..., Any]) -> Callable[..., Any]:
+    """As `compiled`, but sums may be taken in any order and products fused (vector registers).
+
+    For the network's forward pass, which is compared with torch to a tolerance.
+    """
+    return _compiled(function, fastmath={'reassoc', 'contract', 'nsz'})
+
+
+def _compiled(function: Callable[..., Any], **flags: Any) -> Callable[..., Any]:
     # numba asks this setting once, as the decorator runs; other users of numba keep theirs.
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(cache_folder())
     try:
-        made: Callable[..., Any] = numba.njit(cache=True, nogil=True, error_model='numpy')(
-            function
-        )
+        jit = numba.njit(cache=True, nogil=True, error_model='numpy', **flags)
+        made: Callable[..., Any] = jit(function)
     finally:
         numba.config.CACHE_DIR = before
     return made

@@ -12,16 +12,17 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import RegistrationError
+from hybridreg_ros.model.budget import Budget
+from hybridreg_ros.model.budget import voxel_size_m as chosen_voxel_m
 from hybridreg_ros.model.checkpoint import load_checkpoint, packaged_weights
 from hybridreg_ros.model.compact_memory import settled
 from hybridreg_ros.model.encoded import EncodedCloud
 from hybridreg_ros.model.geometry.pyramid import build_pyramid, metric_transform, voxel_transform
 from hybridreg_ros.model.geometry.upsampling import values_of_inputs
-from hybridreg_ros.model.geometry.voxel_size import choose_voxel_size_m
+from hybridreg_ros.model.network import forward
 from hybridreg_ros.model.network.estimators import judged
 from hybridreg_ros.model.network.network import HybridRegNet
 from hybridreg_ros.model.pose.confidence import Calibration, features_of
@@ -58,6 +59,9 @@ if TYPE_CHECKING:
     F64 = NDArray[np.float64]
 
 
+from typing import TYPE_CHECKING
+
+
 class HybridReg:
     """Registration of two clouds of a scene in which things may move.
 
@@ -82,7 +86,6 @@ class HybridReg:
         self.net = (HybridRegNet(config) if net is None else net).eval()
         self.calibration = calibration or Calibration()
         self.provenance: Mapping[str, object] = {}
-        self.voxel_size_m: float | None = None
 
     @classmethod
     def from_pretrained(cls, path: str | Path | None = None) -> HybridReg:
@@ -96,14 +99,23 @@ class HybridReg:
         model.provenance = checkpoint.provenance
         return model
 
-    def encode(self, points: ArrayLike, voxel_size_m: float | None = None) -> EncodedCloud:
+    def sequence(self, budget: Budget | None = None) -> SensorSequence:
+        """An encoder of clouds of one sensor, whose first cloud chooses the voxel of all."""
+        return SensorSequence(self, budget)
+
+    def encode(
+        self,
+        points: ArrayLike,
+        voxel_size_m: float | None = None,
+        budget: Budget | None = None,
+    ) -> EncodedCloud:
         """Everything about one cloud that does not need the other.
 
         Args:
             points: (N, 3) sensor frame, metres; rows with NaN or inf are ignored.
-            voxel_size_m: finest voxel. None chooses it from the first cloud that this object
-                encodes without one and keeps it (`self.voxel_size_m`), for only clouds of one
-                voxel size can be matched.
+            voxel_size_m: finest voxel. None chooses it from this cloud; only clouds of one voxel
+                size can be matched, so give it, or use `sequence`.
+            budget: by which a voxel that is not given is chosen; None: the full size.
 
         Raises:
             RegistrationError: too few points, no extent, or coordinates that cannot be metres.
@@ -111,7 +123,7 @@ class HybridReg:
         start = time.perf_counter()
         cloud = _as_cloud(points)
         if voxel_size_m is None:
-            voxel_size_m = self.voxel_size_m = self.voxel_size_m or self._voxel_m(cloud)
+            voxel_size_m = self._voxel_m(cloud, budget=budget)
         return settled(self._encoded(cloud, float(voxel_size_m), start))
 
     def _encoded(
@@ -122,9 +134,8 @@ class HybridReg:
         encoding, view = self._encoding(pyramid), view_of(pyramid)
         return EncodedCloud(encoding, view, len(cloud), time.perf_counter() - start)
 
-    @torch.no_grad()
     def _encoding(self, pyramid: Pyramid) -> Encoding:
-        return dataclasses.replace(self.net.encode(pyramid), pyramid=pyramid.encoded)
+        return dataclasses.replace(forward.encode(self.net, pyramid), pyramid=pyramid.encoded)
 
     def _encode_both(
         self, small: NDArray[np.float32], large: NDArray[np.float32], voxel_size_m: float
@@ -139,12 +150,16 @@ class HybridReg:
             known = encoding.result()
         return first, EncodedCloud(known, view, len(large), time.perf_counter() - start)
 
-    def _voxel_m(self, *clouds: NDArray[np.float32]) -> float:
+    def _voxel_m(self, *clouds: NDArray[np.float32], budget: Budget | None = None) -> float:
         """Finest voxel for clouds that nobody gave one for, metres."""
-        return self.config.voxel_factor * choose_voxel_size_m(*clouds)
+        return chosen_voxel_m(*clouds, factor=self.config.voxel_factor, budget=budget)
 
     def register(
-        self, source: ArrayLike, target: ArrayLike, voxel_size_m: float | None = None
+        self,
+        source: ArrayLike,
+        target: ArrayLike,
+        voxel_size_m: float | None = None,
+        budget: Budget | None = None,
     ) -> RegistrationResult:
         """Register two clouds, again in other ways while the result leaves doubt.
 
@@ -153,17 +168,27 @@ class HybridReg:
             target: (M, 3) target frame, metres.
             voxel_size_m: finest voxel; None chooses one from both clouds (0.05 m in rooms, 0.3 m
                 in streets, times `ModelConfig.voxel_factor`).
+            budget: by which a voxel that is not given is chosen; None: the full size. When the
+                attempt within the budget leaves doubt, the next one is made at the full size.
 
         Raises:
             RegistrationError: a cloud has too few points or no extent, or is not in metres.
         """
         clouds = _as_cloud(source), _as_cloud(target)
-        voxel = self._voxel_m(*clouds) if voxel_size_m is None else float(voxel_size_m)
+        full = self._voxel_m(*clouds) if voxel_size_m is None else float(voxel_size_m)
+        voxel = full
+        if budget is not None and voxel_size_m is None:
+            voxel = self._voxel_m(*clouds, budget=budget)
         first, encoded = self._attempt(*clouds, voxel)
-        return self.retry(first, encoded, *clouds)
+        return self.retry(first, encoded, *clouds, finer_m=full if full < voxel else None)
 
     def retry(
-        self, first: RegistrationResult, encoded: Encoded, source: ArrayLike, target: ArrayLike
+        self,
+        first: RegistrationResult,
+        encoded: Encoded,
+        source: ArrayLike,
+        target: ArrayLike,
+        finer_m: float | None = None,
     ) -> RegistrationResult:
         """Further attempts at a pair for as long as there is doubt: the other way round, rotated.
 
@@ -175,6 +200,7 @@ class HybridReg:
             encoded: source and target as they were matched in it.
             source: (N, 3) source frame, metres, as for the first attempt.
             target: (M, 3) target frame, metres.
+            finer_m: voxel of one attempt at a finer size, made before all others; None: none.
         """
         clouds = _as_cloud(source), _as_cloud(target)
 
@@ -184,6 +210,8 @@ class HybridReg:
             return result if straight else exchanged(result)
 
         def ways() -> Iterator[Callable[[], RegistrationResult]]:
+            if finer_m is not None:
+                yield lambda: self._attempt(*clouds, finer_m)[0]
             yield lambda: exchanged(self.match(*encoded[::-1]))
             straight = in_order(*clouds)
             for R in frames_of(*clouds):
@@ -222,8 +250,8 @@ class HybridReg:
         views = source.view, target.view
         with ThreadPoolExecutor(1) as beside:
             proposed = beside.submit(proposals_of, source, target) if self._verifies else None
-            with torch.no_grad():
-                found = self.net.match(source.encoding, target.encoding)
+            coarse = forward.correlate(self.net, source.encoding, target.encoding)
+            found = self.net.match(source.encoding, target.encoding, coarse)
             middle = time.perf_counter()
             evidence = beside.submit(evidence_of, source, target, found)
             estimate, verified = found.estimate, None
@@ -308,3 +336,40 @@ def _as_cloud(points: ArrayLike) -> NDArray[np.float32]:
             f'points: expected real numbers of shape (N, 3), found {cloud.dtype} {cloud.shape}'
         )
     return np.ascontiguousarray(cloud, dtype=np.float32)
+
+
+class SensorSequence:
+    """Clouds of one sensor: the first one chooses the voxel, so that any two can be matched.
+
+    Attributes:
+        voxel_size_m: finest voxel, metres; None until a cloud was encoded.
+    """
+
+    def __init__(self, model: HybridReg, budget: Budget | None = None) -> None:
+        """Begin a sequence.
+
+        Args:
+            model: encodes and matches; several sequences may share it.
+            budget: by which the first cloud chooses the voxel; None: the full size.
+        """
+        self._model = model
+        self._budget = budget
+        self.voxel_size_m: float | None = None
+
+    def encode(self, points: ArrayLike) -> EncodedCloud:
+        """`HybridReg.encode` at the voxel of this sequence.
+
+        Raises:
+            RegistrationError: too few points, no extent, or coordinates that cannot be metres.
+        """
+        found = self._model.encode(points, self.voxel_size_m, self._budget)
+        self.voxel_size_m = found.voxel_size_m
+        return found
+
+    def match(self, source: EncodedCloud, target: EncodedCloud) -> RegistrationResult:
+        """`HybridReg.match`.
+
+        Raises:
+            RegistrationError: they were encoded with different voxel sizes.
+        """
+        return self._model.match(source, target)

@@ -88,13 +88,14 @@ class LearnedBranch:
     """Matches scans with keyframes; each cloud is encoded once, and only when it is needed.
 
     Args:
-        registrar: the network.
+        registrar: the network; one with a method `sequence` begins one, to keep one voxel.
         memory: keyframes whose encoding is kept at most, those that were asked for last. Those
             of our recordings take 2 to 5 MB.
     """
 
     def __init__(self, registrar: Registrar, memory: int) -> None:
-        self._registrar = registrar
+        begin = getattr(registrar, 'sequence', None)
+        self._registrar: Registrar = registrar if begin is None else begin()
         self._memory = memory
         self._points: NDArray[np.float32] | None = None
         self._encoding: Any = None

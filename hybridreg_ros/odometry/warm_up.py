@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -33,8 +32,7 @@ def warm_up(config: OdometryConfig, model: Any) -> Iterator[str]:
     """
     for branch in (None, model) if model is not None else (None,):
         for timed in (False, True):
-            # A copy: a network keeps the voxel size of the first cloud it encodes.
-            front_end = HybridOdometry(_always(config), model=copy(branch))
+            front_end = HybridOdometry(_always(config), model=branch)
             for k in range(SCANS):
                 name = 'network' if branch is not None else 'kiss-icp'
                 yield f'{name}, {"lidar" if timed else "depth camera"}, scan {k + 1} of {SCANS}'

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -14,11 +14,13 @@ import torch
 from hybridreg_ros import HybridReg
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import RegistrationError
+from hybridreg_ros.model.budget import Budget
 from hybridreg_ros.model.geometry.neighbours import CellList
 from hybridreg_ros.model.geometry.normals import surface_normals
 from hybridreg_ros.model.geometry.pyramid import build_pyramid
 from hybridreg_ros.model.geometry.views import View
 from hybridreg_ros.model.geometry.voxel_size import choose_voxel_size_m
+from hybridreg_ros.model.network import forward
 from hybridreg_ros.model.pose.confidence import Calibration, ConfidenceFeatures
 from hybridreg_ros.model.pose.posterior import posterior_sigma2
 from hybridreg_ros.model.pose.refine import refine
@@ -65,17 +67,55 @@ def test_encodings_keep_no_operators_of_the_backbone(model: HybridReg, room: np.
     assert all(v.conv is v.pool is v.pool_index is None for v in kept.pyramid.levels)
     assert all(v.conv is not None for v in pyramid.levels)
     with torch.no_grad():
-        whole = model.net.encode(pyramid)
+        whole = forward.encode(model.net, pyramid)
         one, two = model.net.match(whole, whole), model.net.match(kept, kept)
     np.testing.assert_array_equal(one.weights, two.weights)
 
 
-def test_encode_keeps_the_first_voxel_size(compact_net: HybridRegNet, room: np.ndarray) -> None:
-    model = HybridReg(compact_net.config, compact_net)
-    first = model.encode(room)
-    second = model.encode(1.2 * room)
-    assert first.voxel_size_m == second.voxel_size_m == model.voxel_size_m
-    assert model.match(second, first).T_keyframe_scan.shape == (4, 4)
+def test_a_sequence_keeps_its_first_voxel_size(model: HybridReg, room: np.ndarray) -> None:
+    sequence = model.sequence()
+    first = sequence.encode(room)
+    second = sequence.encode(1.2 * room)
+    assert first.voxel_size_m == second.voxel_size_m == sequence.voxel_size_m
+    assert sequence.match(second, first).T_keyframe_scan.shape == (4, 4)
+
+
+def test_the_model_itself_keeps_nothing(model: HybridReg, room: np.ndarray) -> None:
+    before = dict(vars(model))
+    first, second = model.encode(room), model.encode(0.2 * room)
+    assert second.voxel_size_m < first.voxel_size_m
+    assert vars(model) == before
+    with pytest.raises(RegistrationError, match='one voxel size'):
+        model.match(second, first)
+
+
+def test_a_budget_shrinks_all_levels(model: HybridReg, room: np.ndarray) -> None:
+    budget = Budget(max_points=800, max_superpoints=40)
+    full = model.encode(room).encoding.pyramid
+    levels = model.sequence(budget).encode(room).encoding.pyramid.levels
+    sizes = [len(level.points) for level in levels]
+    assert sizes[0] <= 850
+    assert sizes[-1] <= 52
+    assert all(a < len(b.points) for a, b in zip(sizes, full.levels, strict=True))
+
+
+def test_register_within_a_budget_tries_the_full_size_when_in_doubt(
+    model: HybridReg, room: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried, attempt = [], HybridReg._attempt
+
+    def seen(self: HybridReg, *args: Any) -> Any:
+        tried.append(args[2])
+        return attempt(self, *args)
+
+    monkeypatch.setattr(HybridReg, '_attempt', seen)
+    sure = HybridReg(dataclasses.replace(model.config, sure=0.0), model.net)
+    assert sure.register(room, room + SHIFT_M, budget=Budget(800, 40)).attempts == 1
+    full = choose_voxel_size_m(room, room + SHIFT_M)
+    assert tried[0] > 1.1 * full
+    never = HybridReg(dataclasses.replace(model.config, sure=1.0, attempts=2), model.net)
+    assert never.register(room, room + SHIFT_M, budget=Budget(800, 40)).attempts == 2
+    assert tried[1:] == [tried[0], full]
 
 
 def test_voxel_factor_is_that_of_the_weights(compact_net: HybridRegNet, room: np.ndarray) -> None:

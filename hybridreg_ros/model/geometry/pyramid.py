@@ -208,7 +208,7 @@ def _grids(
     coarsest = 2 ** (config.levels - 1)
     first = np.floor(low / (voxel_size_m * coarsest)) * coarsest
     keys = ops.morton_keys(points, 1.0 / voxel_size_m, first)
-    order = np.argsort(keys)
+    order = ops.radix_order(keys)
     grid = _merge(points, keys[order], order, 1.0 / voxel_size_m, first)
     grid = _thin(grid, config.max_points)
     if len(grid.points) < MIN_POINTS:
@@ -278,13 +278,7 @@ def _levels(
 
 def pairwise_bins(superpoints: NDArray[np.float32], config: ModelConfig) -> NDArray[np.int16]:
     """Embedding-table rows of all pairs of superpoints."""
-    count = config.angle_neighbours
-    squared = ((superpoints[:, None] - superpoints[None]) ** 2).sum(axis=2)
-    np.fill_diagonal(squared, np.inf)
-    near = np.full((len(superpoints), count), len(superpoints), np.int32)
-    have = min(count, len(superpoints) - 1)
-    if have > 0:
-        near[:, :have] = np.argsort(squared, axis=1, kind='stable')[:, :have]
+    near = ops.nearest_others(superpoints, config.angle_neighbours)
     bins: NDArray[np.int16] = ops.geometry_bins(
         superpoints, near, config.distance_step, config.distance_bins, config.angle_bins
     )

@@ -157,12 +157,7 @@ class HybridRegNet(nn.Module):
         Raises:
             RegistrationError: the encodings were made with different voxel sizes.
         """
-        a, b = source.pyramid.voxel_size_m, target.pyramid.voxel_size_m
-        if abs(a - b) > 1e-6 * max(a, b):
-            raise RegistrationError(
-                f'expected encodings of one voxel size, found {a:g} m and {b:g} m: '
-                'encode both with the same voxel_size_m'
-            )
+        self.check_voxels(source, target)
         x, y = source.superpoint_features, target.superpoint_features
         gx, gy = source.pyramid.geometry, target.pyramid.geometry
         table = self.table()
@@ -184,6 +179,20 @@ class HybridRegNet(nn.Module):
             sigma2_of(y_logits),
         )
 
+    @staticmethod
+    def check_voxels(source: Encoding, target: Encoding) -> None:
+        """Check that two encodings can be compared.
+
+        Raises:
+            RegistrationError: they were made with different voxel sizes.
+        """
+        a, b = source.pyramid.voxel_size_m, target.pyramid.voxel_size_m
+        if abs(a - b) > 1e-6 * max(a, b):
+            raise RegistrationError(
+                f'expected encodings of one voxel size, found {a:g} m and {b:g} m: '
+                'encode both with the same voxel_size_m'
+            )
+
     def patch_scores(self, source: Encoding, target: Encoding, pairs: Tensor) -> PatchScores:
         """Optimal transport between the fine points of superpoint pairs (differentiable).
 
@@ -201,9 +210,14 @@ class HybridRegNet(nn.Module):
         return PatchScores(self.transport(scores, mi, mj), i, j, mi, mj)
 
     @torch.no_grad()
-    def match(self, source: Encoding, target: Encoding) -> MatchOutput:
-        """Transform, correspondences and uncertainty between two encodings (no gradient)."""
-        coarse = self.correlate(source, target)
+    def match(
+        self, source: Encoding, target: Encoding, coarse: SuperpointOutput | None = None
+    ) -> MatchOutput:
+        """Transform, correspondences and uncertainty between two encodings (no gradient).
+
+        `coarse`: what `correlate` makes of them, where it is known already.
+        """
+        coarse = self.correlate(source, target) if coarse is None else coarse
         pairs = select_pairs(
             coarse.source_features,
             coarse.target_features,

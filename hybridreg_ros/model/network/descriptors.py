@@ -11,6 +11,7 @@ import torch
 from torch.nn import functional
 
 from hybridreg_ros.core.jit import compiled
+from hybridreg_ros.model.network.forward_attention import exponentials
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -55,12 +56,29 @@ def likely_pairs(
     """
     rows_x, rows_y = evenly_spread(len(x), most), evenly_spread(len(y), most)
     u = functional.normalize(x[rows_x.to(x.device)], dim=1) / temperature
-    v = functional.normalize(y[rows_y.to(y.device)], dim=1)
-    e = (u @ v.T).sub_(1.0 / temperature).exp_().detach().cpu()
-    shares = (1.0 / e.sum(dim=1)).numpy(), (1.0 / e.sum(dim=0)).numpy()
-    i, j, w = _largest(e.numpy(), *shares, count)
+    v = functional.normalize(y[rows_y.to(y.device)], dim=1).T
+    arrays = (features.detach().cpu().contiguous().numpy() for features in (u, v))
+    e, rows, columns = _similarities(*arrays, 1.0 / temperature)
+    i, j, w = _largest(e, rows, columns, count)
     index = torch.stack([rows_x[torch.from_numpy(i)], rows_y[torch.from_numpy(j)]], dim=1)
     return index, torch.from_numpy(w)
+
+
+@compiled
+def _similarities(u: F32, v: F32, most: float) -> tuple[F32, F32, F32]:
+    """exp(u v - most) of (F, C) and (C, G), and one over the sums of its rows and columns."""
+    e = np.dot(u, v)
+    rows, columns = np.empty(e.shape[0], np.float32), np.zeros(e.shape[1], np.float32)
+    power = np.empty(e.shape[1], np.int32)
+    scale = power.view(np.float32)
+    for r in range(e.shape[0]):
+        row = e[r]
+        rows[r] = 1.0 / exponentials(row, most, power, scale)
+        for c in range(row.shape[0]):
+            columns[c] += row[c]
+    for c in range(e.shape[1]):
+        columns[c] = np.float32(1.0) / columns[c]
+    return e, rows, columns
 
 
 def _largest(

@@ -48,6 +48,8 @@ _FINAL_ROUNDS = 6
 _AGREEMENT_WEIGHT = 0.5
 _PROBES = 24
 _FINALISTS = 8
+_ALIGNED = 24
+"""Poses that are aligned roughly: those that fit best before (docs/lab, 2026-11-29)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,10 +83,12 @@ class Proposals:
     Attributes:
         poses: (B, 4, 4) transforms, voxels.
         rank: (B,) rough score of each, larger = better.
+        hypotheses: number of poses they come from.
     """
 
     poses: F64
     rank: F64
+    hypotheses: int
 
 
 def view_of(pyramid: Pyramid) -> View:
@@ -125,14 +129,20 @@ def proposals_of(source: EncodedCloud, target: EncodedCloud) -> tuple[Candidates
 
 
 def _ranked(poses: F64, matches: Candidates, views: tuple[View, View]) -> Proposals:
-    """Poses (B, 4, 4) and the same after a few rounds of alignment, judged on thinned clouds."""
+    """Poses (B, 4, 4) and the best of them after a few rounds, judged on thinned clouds."""
     source, target = (view.thinned(_ROUGH_EVERY) for view in views)
     stages = [
         (target.wide, _WIDE_RADIUS, _ROUGH_ROUNDS[0]),
         (target.grid, FIT_RADIUS, _ROUGH_ROUNDS[1]),
     ]
-    poses = np.concatenate([poses, polished(poses, source, target, stages)])
-    return Proposals(poses, _rough_scores(poses, matches, (source, target)))
+    rank = _rough_scores(poses, matches, (source, target))
+    best = np.sort(np.argsort(-rank, kind='stable')[:_ALIGNED])
+    moved = polished(poses[best], source, target, stages)
+    return Proposals(
+        np.concatenate([poses, moved]),
+        np.concatenate([rank, _rough_scores(moved, matches, (source, target))]),
+        len(poses),
+    )
 
 
 def finalists(
@@ -191,7 +201,7 @@ def verify(
         lead,
         float(matched / max(len(matches.weights), 1)),
         int(matched),
-        (len(proposals.poses) + 2) // 2,
+        proposals.hypotheses + 1,
     )
 
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from hybridreg_ros.data.clouds import read_cloud
+from hybridreg_ros.data.loaders.clouds import read_cloud
 from hybridreg_ros.model.budget import Budget, voxel_size_m
 from hybridreg_ros.model.register import HybridReg
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from hybridreg_ros.core.errors import ConfigError, RegistrationError, WeightsError
 from hybridreg_ros.core.pages import give_back
+from hybridreg_ros.model.budget import Budget
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -88,14 +89,15 @@ class LearnedBranch:
     """Matches scans with keyframes; each cloud is encoded once, and only when it is needed.
 
     Args:
-        registrar: the network; one with a method `sequence` begins one, to keep one voxel.
+        registrar: the network; one with a method `sequence` begins one at the
+            default budget, to keep one voxel.
         memory: keyframes whose encoding is kept at most, those that were asked for last. Those
             of our recordings take 2 to 5 MB.
     """
 
     def __init__(self, registrar: Registrar, memory: int) -> None:
         begin = getattr(registrar, 'sequence', None)
-        self._registrar: Registrar = registrar if begin is None else begin()
+        self._registrar: Registrar = registrar if begin is None else begin(Budget())
         self._memory = memory
         self._points: NDArray[np.float32] | None = None
         self._encoding: Any = None

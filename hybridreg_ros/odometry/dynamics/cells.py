@@ -18,13 +18,17 @@ def grow(keys, table, slots, value, group, budget, passable, steps, fade):  # ty
     Args:
         keys: (M,) int64 of the cells.
         table, slots: their hash table.
-        value: (M,) float32, changed in place.
-        group: (M,) int32 group of each cell, -1 = none; taken over by the cells reached.
-        budget: (G,) int64, how many cells each group may still take; changed in place.
+        value: (M,) float32 of each cell.
+        group: (M,) int32 group of each cell, -1 = none.
+        budget: (G,) int64, how many cells each group may take.
         passable: (M,) bool, cells that may be taken.
         steps: how many steps far.
         fade: factor on the value per step.
+
+    Returns:
+        value (M,) and group (M,) with those of the cells reached; the arguments stay as they are.
     """
+    value, group, budget = value.copy(), group.copy(), budget.copy()
     front = np.empty(len(keys), np.int32)
     count = 0
     for cell in range(len(keys)):
@@ -51,6 +55,7 @@ def grow(keys, table, slots, value, group, budget, passable, steps, fade):  # ty
                             fresh[added] = other
                             added += 1
         front, count = fresh, added
+    return value, group
 
 
 @compiled

@@ -276,7 +276,7 @@ class Dynamics:
         taken, passable = objects.complete(grid, shape, group, known, wall, self._config)
         value[taken] = _SURE * self._config.fade
         budget = (self._config.growth_share * size).astype(np.int64)
-        cells.grow(
+        value, _ = cells.grow(
             grid.keys, grid.table, grid.slots, value, group, budget, passable & ~taken,
             self._config.growth, self._config.fade,
         )  # fmt: skip

@@ -276,11 +276,12 @@ class Dynamics:
         taken, passable = objects.complete(grid, shape, group, known, wall, self._config)
         value[taken] = _SURE * self._config.fade
         budget = (self._config.growth_share * size).astype(np.int64)
-        value, _ = cells.grow(
+        grown: F32
+        grown, _ = cells.grow(
             grid.keys, grid.table, grid.slots, value, group, budget, passable & ~taken,
             self._config.growth, self._config.fade,
         )  # fmt: skip
-        return value
+        return grown
 
 
 def _mean_per_cell(values: F32, cell: NDArray[np.int32], count: int) -> F32:

@@ -325,12 +325,6 @@ class FallbackConfig(Section):
 class GateConfig(Section):
     """When the network is asked and when its pose is trusted."""
 
-    network: str = option(
-        'in_doubt',
-        'ask the network for every scan, or only in doubt: when the prediction, refined in the '
-        'map, does not explain the scan',
-        choices=('always', 'in_doubt'),
-    )
     doubt: float = option(
         0.9,
         'share of the points standing on what an earlier scan saw, below which a pose gets a '
@@ -339,9 +333,6 @@ class GateConfig(Section):
     )  # fmt: skip
     enter: float = option(
         0.7, 'confidence from which the network branch is taken up', low=0.0, high=1.0
-    )
-    leave: float = option(
-        0.4, 'confidence below which the network branch is left', low=0.0, high=1.0
     )
     write: float = option(
         0.9, 'a scan of lower confidence is not written to the map where the map shows it already',

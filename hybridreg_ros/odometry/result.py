@@ -43,7 +43,6 @@ class Reason(StrEnum):
     NO_WEIGHTS = 'no_weights'
     REGISTRAR_KISS_ICP = 'registrar_kiss_icp'
     LOW_CONFIDENCE = 'low_confidence'
-    NOT_NEEDED = 'not_needed'
     TOO_FEW_POINTS = 'too_few_points'
     DISAGREES_WITH_MOTION = 'disagrees_with_motion'
     REFINEMENT_FAILED = 'refinement_failed'

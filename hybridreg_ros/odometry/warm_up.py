@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,7 +31,7 @@ def warm_up(config: OdometryConfig, model: Any) -> Iterator[str]:
     """
     for branch in (None, model) if model is not None else (None,):
         for timed in (False, True):
-            front_end = HybridOdometry(_always(config), model=branch)
+            front_end = HybridOdometry(config, model=branch)
             for k in range(SCANS):
                 name = 'network' if branch is not None else 'kiss-icp'
                 yield f'{name}, {"lidar" if timed else "depth camera"}, scan {k + 1} of {SCANS}'
@@ -41,11 +40,6 @@ def warm_up(config: OdometryConfig, model: Any) -> Iterator[str]:
         yield 'registration of two clouds'
         model.register(_scan(0, False).points, _scan(3, False).points, voxel_size_m=0.3)
     jit.mark_filled()
-
-
-def _always(config: OdometryConfig) -> OdometryConfig:
-    """The settings with the network asked for every scan."""
-    return replace(config, gate=replace(config.gate, network='always'))
 
 
 def _scan(k: int, timed: bool) -> Scan:

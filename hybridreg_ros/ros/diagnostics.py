@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
-_CHOSEN = (Reason.OK, Reason.REGISTRAR_KISS_ICP, Reason.NOT_NEEDED, Reason.FIRST_SCAN)
+_CHOSEN = (Reason.OK, Reason.REGISTRAR_KISS_ICP, Reason.FIRST_SCAN)
 
 
 @dataclass(frozen=True)

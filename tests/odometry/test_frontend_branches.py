@@ -17,7 +17,6 @@ from hybridreg_ros.core.scan import Scan
 from hybridreg_ros.odometry import network_branch
 from hybridreg_ros.odometry.config import (
     FallbackConfig,
-    GateConfig,
     KeyframeConfig,
     LostConfig,
     OdometryConfig,
@@ -28,8 +27,7 @@ from hybridreg_ros.odometry.network_branch import LearnedBranch
 from hybridreg_ros.odometry.result import OdometryResult, Reason, Source
 
 RAYS = lidar_rays()
-ALWAYS = GateConfig(network='always')
-ASKING = OdometryConfig(gate=ALWAYS)
+ASKING = OdometryConfig()
 
 
 def worst_error_m(results: list[OdometryResult], poses: list) -> float:
@@ -193,7 +191,7 @@ def test_network_finds_the_keyframe_after_a_loss() -> None:
             for k in range(4)]  # fmt: skip
     clouds = scans(way, RAYS) + dark + scans(turned, RAYS, start_s=101.2)
     registrar = NeighbourhoodRegistrar(turns_deg=(0.0, 60.0, 90.0, 120.0, 180.0, -90.0))
-    config = OdometryConfig(gate=ALWAYS, lost=LostConfig(reanchor_after=100))
+    config = OdometryConfig(lost=LostConfig(reanchor_after=100))
     odometry = HybridOdometry(config, model=registrar)
     results = [odometry.step(scan) for scan in clouds]
     assert results[11].source is Source.LOST
@@ -237,16 +235,16 @@ def test_registrar_kiss_icp_ignores_the_network() -> None:
     assert registrar.encodes == 0
 
 
-def test_network_asked_only_in_doubt_runs_rarely() -> None:
+def test_the_network_makes_every_pose_and_finds_a_turn_of_60_degrees() -> None:
     poses = walk(8)
     registrar = NeighbourhoodRegistrar(turns_deg=(0.0, 45.0, -45.0))
     odometry = HybridOdometry(model=registrar)
     results = [odometry.step(scan) for scan in scans(poses, RAYS)]
-    assert {r.reason for r in results[1:]} == {Reason.NOT_NEEDED}
-    assert registrar.matches == 0
+    assert {(r.source, r.reason) for r in results[1:]} == {(Source.HYBRIDREG, Reason.OK)}
+    assert registrar.matches == 7
     away = pose(-0.4, -0.3, 60.0)
     result = odometry.step(scans([away], RAYS, start_s=101.0)[0])
-    assert registrar.matches == 1
+    assert registrar.matches == 8
     off = se3.inverse(se3.inverse(poses[0]) @ away) @ result.pose
     assert np.linalg.norm(off[:3, 3]) < 0.02
 

@@ -37,7 +37,6 @@ from hybridreg_ros.odometry.registration.alignment import assess, refine
 from hybridreg_ros.odometry.result import LOST_VARIANCE, Reason
 from hybridreg_ros.odometry.selection.pose_confidence import (
     Evidence,
-    Gate,
     judge,
     of_evidence,
     weakness,
@@ -314,12 +313,6 @@ def test_confidence_orders_evidence_and_judges_faults() -> None:
     assert judge(Evidence(0.1, 0.9, 0.9), at, at, 0.1, 0.1, gate).fault is Reason.NO_OVERLAP
     hanging = Evidence(0.9, 0.9, 0.1)
     assert judge(hanging, at, at, 0.1, 0.1, gate).fault is Reason.REFINEMENT_FAILED
-
-
-def test_gate_opens_high_and_closes_low() -> None:
-    gate = Gate(GateConfig(enter=0.7, leave=0.4))
-    found = [gate.passes(c) for c in (0.5, 0.39, 0.5, 0.69, 0.7, 0.41)]
-    assert found == [True, False, False, False, True, True]
 
 
 def test_intake_rebases_only_on_a_steady_new_time_base() -> None:

@@ -121,20 +121,3 @@ def agrees(
     limit = gate.max_jump_m or 5.0 * voxel_size_m + 3.0 * max(dt_s, 0.0)
     near = float(np.linalg.norm(deviation[:3, 3])) <= limit
     return near and se3.rotation_angle_deg(deviation[:3, :3]) <= gate.max_jump_deg
-
-
-class Gate:
-    """Opens for the network branch at `enter`, closes below `leave`: no flutter in between.
-
-    Attributes:
-        open: whether the last scan was let through.
-    """
-
-    def __init__(self, config: GateConfig) -> None:
-        self._config = config
-        self.open = True
-
-    def passes(self, confidence: float) -> bool:
-        """Whether a network pose of this confidence is taken; remembers it."""
-        self.open = confidence >= (self._config.leave if self.open else self._config.enter)
-        return self.open

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -93,11 +94,19 @@ class HybridOdometry:
         self._keyframe_id = 0
         self._last_pose = self._motion.pose
 
-    def step(self, scan: Scan) -> OdometryResult:
+    def step(
+        self, scan: Scan, early: Callable[[OdometryResult], None] | None = None
+    ) -> OdometryResult:
         """Take one scan.
 
         It never raises for what a sensor may send: odd stamps, empty or absurd clouds give a
         result that says so.
+
+        Args:
+            scan: the scan.
+            early: called as soon as the pose is known, before mask, map and keyframes are made:
+                the same result but for `dynamic_probability` (zeros), what it says of keyframes,
+                and the timings. Not called for a scan that is refused.
         """
         watch, self.claim = Watch(), None
         fault = self._intake.check(scan)
@@ -106,9 +115,18 @@ class HybridOdometry:
         cloud = self._prepare(scan)
         watch.lap('preprocess')
         if cloud is None or self._tracker is None:
-            return self._without_map(scan, watch)
-        estimate = self._tracker.step(cloud, scan.stamp + round(cloud.instant_s * NS_PER_S), watch)
-        return self._result(scan, cloud, estimate, fault, watch)
+            result, update = self._without_map(scan, watch), None
+        else:
+            stamp = scan.stamp + round(cloud.instant_s * NS_PER_S)
+            estimate = self._tracker.step(cloud, stamp, watch)
+            result, update = self._result(scan, cloud, estimate, fault, watch), estimate.update
+        if early is not None:
+            early(result)
+        if update is None:
+            return result
+        made = update(watch)
+        self._keyframe_id = made.keyframe_id
+        return replace(result, timings_s=watch.laps(), **made._asdict())
 
     def _rebase(self, scan: Scan, fault: Reason) -> bool:
         """Whether the time base has changed for good; then the velocity is unknown."""

@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,8 @@ from hybridreg_ros.odometry.selection.candidates import Located
 from hybridreg_ros.odometry.world import Scene
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from hybridreg_ros.odometry.config import OdometryConfig
@@ -77,7 +80,7 @@ class Tracker:
         self._trail = Trail()
 
     def step(self, cloud: Cloud, stamp: int, watch: Watch) -> Estimate:
-        """Locate a cloud, update the pose chain, the map and the keyframes.
+        """Locate a cloud and update the pose chain; map and keyframes are left to the estimate.
 
         Args:
             cloud: the preprocessed scan.
@@ -104,7 +107,7 @@ class Tracker:
         if isinstance(found, Located) and self._is_last_straw(found):
             found = found.reason
         if isinstance(found, Located):
-            return self._accept(cloud, stamp, predicted, found, watch)
+            return self._accept(cloud, stamp, predicted, found)
         if self.lost and self._give_up():
             return self._begin(cloud, stamp, Reason.RECOVERED)
         return self._bad(cloud, stamp, found)
@@ -160,10 +163,8 @@ class Tracker:
         if self._learned is not None:
             self._learned.forget(keyframe)
 
-    def _accept(
-        self, cloud: Cloud, stamp: int, predicted: F64, found: Located, watch: Watch
-    ) -> Estimate:
-        """Write a pose to the chain, and its scan to the scene."""
+    def _accept(self, cloud: Cloud, stamp: int, predicted: F64, found: Located) -> Estimate:
+        """Write a pose to the chain; what its scan tells the scene is left to the estimate."""
         pose, was_lost = found.fit.T_odom_sensor, self.lost
         sway, reported = found.fit.sway, None
         entered = cloud
@@ -187,6 +188,14 @@ class Tracker:
             factor *= section.fallback_factor
         ahead_s = cloud.reported_s - cloud.instant_s
         self.covariance = covariance.of_fit(found.fit, ahead_s, factor)
+        reason = Reason.RECOVERED if was_lost else found.reason
+        claim = self._locator.claim_of(found)
+        estimate = self._estimate(pose, reason, claim.confidence, nothing(cloud), False)
+        update = partial(self._update, cloud, stamp, found)
+        return replace(estimate, reported=reported, claim=claim, update=update)
+
+    def _update(self, cloud: Cloud, stamp: int, found: Located, watch: Watch) -> Update:
+        """Say what moves in a located scan, and write what stands still to the scene."""
         dynamic, image = self._scene.moving(cloud, found)
         watch.lap('dynamics')
         keyframe = self._scene.add(cloud, stamp, found, dynamic, image)
@@ -195,10 +204,12 @@ class Tracker:
         if self._learned is not None:
             self._learned.keep_only(self._scene.keyframes.recent)
         watch.lap('map')
-        reason = Reason.RECOVERED if was_lost else found.reason
-        claim = self._locator.claim_of(found)
-        estimate = self._estimate(pose, reason, claim.confidence, dynamic, keyframe is not None)
-        return replace(estimate, reported=reported, claim=claim)
+        return Update(dynamic, keyframe is not None, self._keyframe_id)
+
+    @property
+    def _keyframe_id(self) -> int:
+        last = self._scene.keyframes.last
+        return 0 if last is None else last.number
 
     def _begin(self, cloud: Cloud, stamp: int, reason: Reason) -> Estimate:
         """Start a map at the last pose: the first scan, or a new start after a loss.
@@ -260,7 +271,6 @@ class Tracker:
         self, pose: F64, reason: Reason, confidence: float, dynamic: NDArray[np.float32],
         is_keyframe: bool,
     ) -> Estimate:  # fmt: skip
-        last = self._scene.keyframes.last
         return Estimate(
             pose=pose,
             covariance=self.covariance,
@@ -268,9 +278,23 @@ class Tracker:
             reason=reason,
             confidence=confidence,
             dynamic_probability=dynamic,
-            keyframe_id=0 if last is None else last.number,
+            keyframe_id=self._keyframe_id,
             is_keyframe=is_keyframe,
         )
+
+
+class Update(NamedTuple):
+    """What became of a located scan.
+
+    Attributes:
+        dynamic_probability: (N,) float32 in [0, 1] per point of the scan.
+        is_keyframe: whether it became a keyframe.
+        keyframe_id: number of the newest keyframe.
+    """
+
+    dynamic_probability: NDArray[np.float32]
+    is_keyframe: bool
+    keyframe_id: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,7 +302,8 @@ class Estimate:
     """What the tracker says about one cloud; fields as in OdometryResult.
 
     `reported` is the pose at the instant that is asked for, None where only the velocity between
-    scans leads there; `claim` is what the confidence follows from, None where it is 0.
+    scans leads there; `claim` is what the confidence follows from, None where it is 0. `update`
+    makes mask, map and keyframes, to be called once before the next step; None = nothing to do.
     """
 
     pose: F64
@@ -291,6 +316,7 @@ class Estimate:
     is_keyframe: bool
     reported: F64 | None = None
     claim: Claim | None = None
+    update: Callable[[Watch], Update] | None = None
 
 
 def nothing(cloud: Cloud) -> NDArray[np.float32]:

@@ -144,6 +144,11 @@ class Monitor:
             self._result = result
         return line
 
+    def finished(self, result: OdometryResult) -> None:
+        """Take the timings of a counted result over, mask and map included."""
+        with self._lock:
+            self._result = result
+
     def forget(self) -> None:
         """Drop the last result after a reset; counters go on."""
         with self._lock:

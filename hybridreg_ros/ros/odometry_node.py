@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from rclpy.timer import Timer
     from sensor_msgs.msg import PointCloud2
 
-    from hybridreg_ros.odometry.result import OdometryResult
 
 RUNTIME = ('dynamics.threshold',)
 """Front-end parameters that the node itself applies; the others are read at the start."""
@@ -69,7 +68,12 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
         self._front_end = build_front_end(odometry, config.weights, self.get_logger().info)
         self._outputs = Outputs(self, config, odometry.dynamics.threshold)
         self._worker = Worker(
-            self._front_end.odometry, config, self._monitor, self._publish, self._warn
+            self._front_end.odometry,
+            config,
+            self._monitor,
+            self._outputs.publish_odometry,
+            self._outputs.publish,
+            self._warn,
         )
         self._triggers = [
             self.create_service(Trigger, '~/reset', self._on_reset),
@@ -119,10 +123,6 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
         """Count clouds that the transport lost; the middleware tells."""
         text = 'never arrived; see docs/ros.md, Transport'
         self._monitor.dropped(Drop.TRANSPORT, text, count)
-
-    def _publish(self, msg: PointCloud2, result: OdometryResult) -> None:
-        """Publish a result (worker thread)."""
-        self._outputs.publish(msg, result)
 
     def _warn(self, cause: str, text: str) -> None:
         """Log one line, at most every five seconds per cause; the counters miss nothing."""

@@ -110,19 +110,20 @@ class Outputs:
             self._poses.clear()
 
     def publish(self, msg: PointCloud2, result: OdometryResult) -> None:
-        """Publish everything that someone listens to for one result."""
+        """Publish the clouds of a result and what became of it, to those who listen."""
         config = self._config
         if self._frame.get_subscription_count():
             name = f'{self._node.get_fully_qualified_name().lstrip("/")}: frame'
             self._frame.publish(of_frame(result, name, msg.header.stamp))
-        self._publish_odometry(result, config)
         dynamic = result.dynamic_probability >= self._threshold
         self._publish_cloud(self._dynamic, msg, result, dynamic)
         self._publish_cloud(self._static, msg, result, ~dynamic)
         if config.publish_keyframe and result.is_keyframe:
             self._publish_cloud(self._keyframe, msg, result, ~dynamic)
 
-    def _publish_odometry(self, result: OdometryResult, config: NodeConfig) -> None:
+    def publish_odometry(self, result: OdometryResult) -> None:
+        """Publish pose, transform and path: at once, the clouds follow."""
+        config = self._config
         sensor_frame = result.scan.frame_id.lstrip('/')
         child = config.base_frame or sensor_frame
         T_base_sensor = self._extrinsic(child, sensor_frame, config)

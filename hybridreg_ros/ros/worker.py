@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import threading
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hybridreg_ros.core.errors import HybridRegError
@@ -36,6 +37,7 @@ class Worker:
         front_end: HybridOdometry,
         config: NodeConfig,
         monitor: Monitor,
+        publish_odometry: Callable[[OdometryResult], None],
         publish: Callable[[Any, OdometryResult], None],
         warn: Callable[[str, str], None],
     ) -> None:
@@ -45,11 +47,13 @@ class Worker:
             front_end: only this thread steps it.
             config: see `configure`.
             monitor: told about every cloud.
-            publish: called in this thread with the message and its result.
+            publish_odometry: called in this thread as soon as the pose of a cloud is known.
+            publish: called in this thread with the message and its result, mask included.
             warn: logs cause and text as one line.
         """
         self._front_end = front_end
         self._monitor = monitor
+        self._publish_odometry = publish_odometry
         self._publish = publish
         self._warn = warn
         self._queue: FrameQueue[Arrival] = FrameQueue(depth=1)
@@ -118,7 +122,7 @@ class Worker:
     def _handle(self, arrival: Arrival) -> None:
         try:
             scan = to_scan(arrival.message, *self._times)
-            result = self._front_end.step(scan)
+            result = self._front_end.step(scan, partial(self._posed, arrival.time_s))
         except HybridRegError as error:
             self._monitor.dropped(Drop.BAD_CLOUD, str(error))
             self._warn(Drop.BAD_CLOUD.value, str(error))
@@ -129,7 +133,12 @@ class Worker:
             self._warn(result.reason.value, f'dropped {text}')
             return
         self._publish(arrival.message, result)
-        switch = self._monitor.processed(result, arrival.time_s)
+        self._monitor.finished(result)
+
+    def _posed(self, arrived_s: float, result: OdometryResult) -> None:
+        """Publish a pose before mask and map are made."""
+        self._publish_odometry(result)
+        switch = self._monitor.processed(result, arrived_s)
         if switch:
             self._warn(f'switch {switch}', 'see /diagnostics')
         elif result.source is Source.LOST:

@@ -115,3 +115,31 @@ def test_reset_starts_a_new_odom_frame() -> None:
     result = odometry.step(clouds[3])
     assert result.reason is Reason.FIRST_SCAN
     assert np.array_equal(result.pose, np.eye(4))
+
+
+def test_the_pose_is_given_before_the_map_knows_the_scan() -> None:
+    clouds = scans(walk(5), lidar_rays())
+    odometry, early = HybridOdometry(OdometryConfig(), model=None), []
+
+    def posed(result: OdometryResult) -> None:
+        tracker = odometry._tracker
+        early.append((result, None if tracker is None else tracker._scene.map.updates))
+
+    results = [odometry.step(scan, posed) for scan in clouds]
+    plain = run(clouds)
+    assert [n for _, n in early] == [1, 1, 2, 3, 4]  # the first scan is the map itself
+    for (first, _), result, alone in zip(early, results, plain, strict=True):
+        for name in ('pose', 'covariance', 'twist', 'twist_covariance'):
+            assert np.array_equal(getattr(first, name), getattr(result, name))
+            assert np.array_equal(getattr(result, name), getattr(alone, name))
+        assert (first.confidence, first.reason) == (result.confidence, result.reason)
+        assert not first.dynamic_probability.any()
+        assert np.array_equal(result.dynamic_probability, alone.dynamic_probability)
+
+
+def test_refused_scans_have_no_early_result() -> None:
+    clouds, early = scans(walk(2), lidar_rays()), []
+    odometry = HybridOdometry(OdometryConfig(), model=None)
+    for scan in (*clouds, clouds[1]):
+        odometry.step(scan, early.append)
+    assert len(early) == 2

@@ -255,19 +255,20 @@ def test_node_config_refuses(change, text):
 class _Stumbling(HybridOdometry):
     """The real front end with a bug in its second step."""
 
-    def step(self, scan):
+    def step(self, scan, early=None):
         if scan.stamp == 2 * 10**8:
             raise ZeroDivisionError('a bug')
-        return super().step(scan)
+        return super().step(scan, early)
 
 
 @pytest.mark.filterwarnings('ignore::pytest.PytestUnhandledThreadExceptionWarning')
 def test_a_bug_costs_one_cloud_and_is_an_error():
-    monitor, published = Monitor(), []
+    monitor, posed, published = Monitor(), [], []
     worker = Worker(
         _Stumbling(OdometryConfig(registrar='kiss-icp'), model=None),
         NodeConfig(queue_depth=10),
         monitor,
+        lambda result: posed.append(result.stamp),
         lambda _, result: published.append(result.stamp),
         lambda *_: None,
     )
@@ -280,7 +281,7 @@ def test_a_bug_costs_one_cloud_and_is_an_error():
     while len(published) < 2 and time.monotonic() < end:
         time.sleep(0.01)
     worker.stop()
-    assert published == [10**8, 3 * 10**8]
+    assert posed == published == [10**8, 3 * 10**8]
     found = status(monitor.snapshot(), SETTING)
     assert found.level == DiagnosticStatus.ERROR
     assert values(found)['dropped.internal_error'] == '1'

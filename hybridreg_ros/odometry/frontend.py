@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.core.scan import Scan
-    from hybridreg_ros.odometry.preprocessed import Cloud
+    from hybridreg_ros.odometry.preprocessed import PreprocessedScan
     from hybridreg_ros.odometry.selection.candidates import Candidate
-    from hybridreg_ros.odometry.selection.reported_confidence import Claim
+    from hybridreg_ros.odometry.selection.reported_confidence import ReportedConfidence
     from hybridreg_ros.odometry.tracker import Estimate
 
 _log = logging.getLogger(__name__)
@@ -50,7 +50,7 @@ class HybridOdometry:
 
     Attributes:
         config: settings.
-        claim: what the confidence of the last scan follows from, None where it is 0 (for fitting).
+        reported_confidence: of the last scan, with what it follows from; None where it is 0.
 
     Raises:
         ConfigError: `model` is something else.
@@ -88,7 +88,7 @@ class HybridOdometry:
     def reset(self) -> None:
         """Forget pose, map and keyframes; the next usable scan defines the odom frame anew."""
         self._intake.reset()
-        self.claim: Claim | None = None
+        self.reported_confidence: ReportedConfidence | None = None
         self._motion = self._make_motion()
         self._tracker: Tracker | None = None
         self._keyframe_id = 0
@@ -108,7 +108,7 @@ class HybridOdometry:
                 the same result but for `dynamic_probability` (zeros), what it says of keyframes,
                 and the timings. Not called for a scan that is refused.
         """
-        watch, self.claim = Watch(), None
+        watch, self.reported_confidence = Watch(), None
         fault = self._intake.check(scan)
         if fault is not None and not self._rebase(scan, fault):
             return self._refusal(scan, fault, watch)
@@ -136,7 +136,7 @@ class HybridOdometry:
         self._motion.stop(scan.stamp)
         return True
 
-    def _prepare(self, scan: Scan) -> Cloud | None:
+    def _prepare(self, scan: Scan) -> PreprocessedScan | None:
         """Preprocessed cloud; None while no scan has shown what the sensor is."""
         if self._tracker is None:
             sensor = recognise_sensor(scan.points, self.config)
@@ -182,7 +182,7 @@ class HybridOdometry:
             timings_s=watch.laps(),
         )
 
-    def _reported(self, estimate: Estimate, cloud: Cloud) -> NDArray[np.float64]:
+    def _reported(self, estimate: Estimate, cloud: PreprocessedScan) -> NDArray[np.float64]:
         """Pose at the instant that is asked for, from that of the registered cloud."""
         pose, ahead = estimate.pose, cloud.reported_s - cloud.instant_s
         if ahead == 0.0:
@@ -194,9 +194,17 @@ class HybridOdometry:
         return self._last_pose
 
     def _result(
-        self, scan: Scan, cloud: Cloud, estimate: Estimate, fault: Reason | None, watch: Watch
+        self,
+        scan: Scan,
+        cloud: PreprocessedScan,
+        estimate: Estimate,
+        fault: Reason | None,
+        watch: Watch,
     ) -> OdometryResult:
-        self._keyframe_id, self.claim = estimate.keyframe_id, estimate.claim
+        self._keyframe_id, self.reported_confidence = (
+            estimate.keyframe_id,
+            estimate.reported_confidence,
+        )
         return OdometryResult(
             scan=scan,
             pose=self._reported(estimate, cloud),

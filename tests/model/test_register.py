@@ -21,7 +21,7 @@ from hybridreg_ros.model.geometry.pyramid import build_pyramid
 from hybridreg_ros.model.geometry.views import View
 from hybridreg_ros.model.geometry.voxel_size import choose_voxel_size_m
 from hybridreg_ros.model.network import forward
-from hybridreg_ros.model.pose.confidence import Calibration, ConfidenceFeatures
+from hybridreg_ros.model.pose.confidence import ConfidenceFeatures, PairCalibration
 from hybridreg_ros.model.pose.posterior import posterior_sigma2
 from hybridreg_ros.model.pose.refine import refine
 
@@ -248,7 +248,7 @@ def test_confidence_grows_with_the_evidence() -> None:
     good = ConfidenceFeatures(5.0, 0.8, 0.8, 0.7, 0.4, 0.6, 0.3, 0.5, 900)
     weak = ConfidenceFeatures(2.0, 0.1, 0.1, 0.2, 0.8, 0.3, 0.05, 3.0, 900)
     plane = ConfidenceFeatures(5.0, 0.8, 0.5, 0.7, 0.4, 0.6, 0.002, 0.5, 900)
-    calibration = Calibration()
+    calibration = PairCalibration()
     assert calibration.probability(good) > 0.8
     assert calibration.probability(weak) < 0.1
     assert calibration.probability(plane) < 0.3

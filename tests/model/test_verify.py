@@ -19,7 +19,7 @@ from hybridreg_ros.model.geometry.normals import surface_normals
 from hybridreg_ros.model.geometry.views import View, fits, intrusions
 from hybridreg_ros.model.network.estimators import PointMatches, lgr
 from hybridreg_ros.model.pose.hypotheses import Candidates, consistent_hypotheses, distinct
-from hybridreg_ros.model.pose.plane_icp import polished
+from hybridreg_ros.model.pose.plane_icp import plane_icp
 from hybridreg_ros.model.pose.verify import Verified, propose, verify
 
 if TYPE_CHECKING:
@@ -181,10 +181,10 @@ def test_points_in_free_space_are_counted(room: F32) -> None:
     assert behind > 0.15  # then the source's sensor looked through the target
 
 
-def test_polishing_mends_a_rough_pose(views: tuple[View, View]) -> None:
+def test_plane_icp_mends_a_rough_pose(views: tuple[View, View]) -> None:
     rough = se3.exp(np.array([1.0, -0.8, 0.5, 0.02, -0.03, 0.02])) @ TRUE
     stages = [(views[1].wide, 3.0, 8), (views[1].grid, 1.5, 8)]
-    mended = polished(rough[None], *views, stages)[0]
+    mended = plane_icp(rough[None], *views, stages)[0]
     assert se3.is_rigid(mended)
     turn, shift = _error(mended, TRUE)
     assert turn < 0.5

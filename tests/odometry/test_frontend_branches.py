@@ -90,7 +90,7 @@ def test_only_recent_keyframes_keep_their_encodings_while_the_pose_is_known() ->
     tracker = odometry._tracker
     assert tracker is not None
     assert tracker._learned is not None
-    numbers = [f.number for f in tracker._scene.keyframes]
+    numbers = [f.number for f in tracker._world.keyframes]
     assert len(numbers) > 3
     assert sorted(tracker._learned._keyframes) == numbers[-2:]
 

@@ -123,7 +123,7 @@ def test_the_pose_is_given_before_the_map_knows_the_scan() -> None:
 
     def posed(result: OdometryResult) -> None:
         tracker = odometry._tracker
-        early.append((result, None if tracker is None else tracker._scene.map.updates))
+        early.append((result, None if tracker is None else tracker._world.map.updates))
 
     results = [odometry.step(scan, posed) for scan in clouds]
     plain = run(clouds)

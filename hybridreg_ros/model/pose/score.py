@@ -11,7 +11,7 @@ import numpy as np
 
 from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.model.geometry.grid import cell_point, cosine, moved
-from hybridreg_ros.model.geometry.upsampling import spread_to_level0
+from hybridreg_ros.model.geometry.upsampling import upsample_to_level0
 from hybridreg_ros.model.geometry.views import View, depth_behind, inverse
 from hybridreg_ros.model.network.estimators import weighted_inliers
 
@@ -74,7 +74,7 @@ class Opinion:
     @classmethod
     def of(cls, view: View, pyramid: Pyramid, sigma2: F32, static: F32) -> Opinion:
         """Spread what the mask says of the superpoints (S,) of a cloud over its view's sample."""
-        both = spread_to_level0(pyramid, np.column_stack([1.0 - sigma2, static]), view.rows)
+        both = upsample_to_level0(pyramid, np.column_stack([1.0 - sigma2, static]), view.rows)
         return cls(*np.ascontiguousarray(both.T))
 
     @classmethod

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 _FLUSH_S = 5.0
-_SETTLE_S = 10.0
+_DRAIN_S = 10.0
 
 
 def parser() -> argparse.ArgumentParser:
@@ -133,7 +133,7 @@ def play(node: Node, args: argparse.Namespace, active: Callable[[], bool]) -> Pl
             player.play(report, flow.may_send if flow else None)
             if not args.loop:
                 break
-        if flow is not None and active() and not flow.settle(_SETTLE_S):
+        if flow is not None and active() and not flow.drain(_DRAIN_S):
             node.get_logger().warning(f'{flow.under_way} clouds did not come back')
         if flow is not None and flow.dropped:
             node.get_logger().warning(f'dropped by {args.node}: {dict(flow.dropped)}')

@@ -36,7 +36,7 @@ test-slow: $(VENV)/.ready-test  ## the long tests: colcon, transport, kill and r
 bench: $(VENV)/.ready-test  ## milliseconds per stage, side by side with the peers
 	$(VENV)/bin/hybridreg bench
 
-goals: $(VENV)/.ready-test  ## every row of the registration table of docs/results.md (hours)
+goals: $(VENV)/.ready-test  ## every row of the registration table of docs/results/registration.md (hours)
 	PATH="$(abspath $(VENV))/bin:$$PATH" bash scripts/goals.sh
 
 lint: $(VENV)/.ready-test  ## ruff and mypy, as CI runs them

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""docs/results.md: how the resident memory of the front end grows over a looped sequence.
+"""docs/results/odometry.md: how the resident memory of the front end grows over a looped sequence.
 
 The scans of a sequence are played forth and back, network and all. The times of their points do
 not hold on the way back: the motion during each scan is undone by the true poses beforehand. One
@@ -114,7 +114,7 @@ def table(rows: dict[str, dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """Measure, write docs/results/memory.json, and the table in docs/results.md."""
+    """Measure, write docs/results/memory.json, and the table in docs/results/odometry.md."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('sequence', help='of the benchmark or the development suite')
     parser.add_argument('--steps', type=int, default=10_000, help='above 500 (default 10,000)')
@@ -135,7 +135,7 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     for path in (RESULTS, args.out / NAME):
         path.write_text(json.dumps(rows, indent=1) + '\n', encoding='utf-8')
-    put(ROOT / 'docs' / 'results.md', 'memory', table(rows))
+    put(ROOT / 'docs' / 'results' / 'odometry.md', 'memory', table(rows))
 
 
 if __name__ == '__main__':

@@ -43,7 +43,7 @@ _FIXED = {leaf.name for leaf in leaves(OdometryConfig())}.difference(RUNTIME).un
 
 
 class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
-    """ROS callbacks around one front end; docs/ros.md lists topics, services and parameters."""
+    """ROS callbacks around one front end; docs/reference/ros.md lists the interface."""
 
     def __init__(self, transport: fastdds.Transport | None = None) -> None:
         """Read the parameters, build the front end, then subscribe.
@@ -121,7 +121,7 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
 
     def _on_lost(self, count: int) -> None:
         """Count clouds that the transport lost; the middleware tells."""
-        text = 'never arrived; see docs/ros.md, Transport'
+        text = 'never arrived; see docs/guide/troubleshooting.md'
         self._monitor.dropped(Drop.TRANSPORT, text, count)
 
     def _warn(self, cause: str, text: str) -> None:

@@ -53,7 +53,7 @@ TRACES = (
 """
 
 WEIGHTS = np.array([-2.72, 9.03, 54.40, 10.33, -137.60, -31.30, 9.66, 2.15])
-"""Log-odds per trace, by `scripts/fit_score.py` (see docs/training.md)."""
+"""Log-odds per trace, by `scripts/fit_score.py` (docs/lab, 2026-11-22)."""
 
 UNMASKED_WEIGHTS = np.array([-12.88, 31.08, 31.08, 12.17, -55.01, -37.58, 8.12, 3.79])
 """The same where there is no mask, by `scripts/fit_score.py --no-mask`."""

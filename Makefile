@@ -8,8 +8,9 @@ PY := $(VENV)/bin/python
 INPUTS := scripts/setup.sh setup.py constraints.txt
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export OMP_NUM_THREADS ?= 2
+export NO_MKDOCS_2_WARNING ?= 1
 
-.PHONY: help demo test test-slow bench goals lint colcon setup clean
+.PHONY: help demo test test-slow bench goals docs lint colcon setup clean
 
 help:  ## say what the targets do
 	@grep -E '^[a-z-]+:.*##' Makefile | sed 's/:.*##/ —/'
@@ -38,6 +39,9 @@ bench: $(VENV)/.ready-test  ## milliseconds per stage, side by side with the pee
 
 goals: $(VENV)/.ready-test  ## every row of the registration table of docs/results/registration.md (hours)
 	PATH="$(abspath $(VENV))/bin:$$PATH" bash scripts/goals.sh
+
+docs: $(VENV)/.ready-test  ## the documentation as a site, out/site/index.html
+	$(PY) -m mkdocs build --strict --quiet
 
 lint: $(VENV)/.ready-test  ## ruff and mypy, as CI runs them
 	$(PY) -m ruff check .

@@ -66,6 +66,7 @@ setup(
             'ros-jazzy-rclpy[fastrtps]==7.1.6',
             'ros-jazzy-common-interfaces==5.3.6',
         ],
+        'docs': ['mkdocs>=1.6,<2', 'mkdocs-material>=9.6,<10', 'mkdocstrings[python]>=0.29'],
         'scale': ['dask>=2026.8', 'distributed>=2026.8'],
         'bench': [
             'open3d-cpu==0.20.0',

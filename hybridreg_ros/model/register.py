@@ -65,8 +65,9 @@ from typing import TYPE_CHECKING
 class HybridReg:
     """Registration of two clouds of a scene in which things may move.
 
-    >>> model = HybridReg.from_pretrained()  # doctest: +SKIP
-    >>> model.register(source, target).T_target_source  # doctest: +SKIP
+    Examples:
+        >>> model = HybridReg.from_pretrained()  # doctest: +SKIP
+        >>> model.register(source, target).T_target_source  # doctest: +SKIP
     """
 
     def __init__(

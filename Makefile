@@ -43,9 +43,10 @@ goals: $(VENV)/.ready-test  ## every row of the registration table of docs/resul
 docs: $(VENV)/.ready-test  ## the documentation as a site, out/site/index.html
 	$(PY) -m mkdocs build --strict --quiet
 
-lint: $(VENV)/.ready-test  ## ruff and mypy, as CI runs them
+lint: $(VENV)/.ready-test  ## ruff, codespell and mypy, as CI runs them
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
+	$(PY) -m codespell_lib $(shell git ls-files 2>/dev/null)
 	$(PY) -m mypy
 
 colcon: $(VENV)/.ready-test  ## colcon build and colcon test in a workspace of their own

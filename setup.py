@@ -18,7 +18,7 @@ def shared(folder: str, pattern: str = '*') -> tuple[str, list[str]]:
 
 setup(
     name=PACKAGE,
-    version='0.1.0',
+    version='0.2.0',
     description='Odometry and dynamic points from point clouds of scenes in which things move',
     long_description=(HERE / 'README.md').read_text(encoding='utf-8'),
     long_description_content_type='text/markdown',
@@ -79,6 +79,7 @@ setup(
             'pytest-timeout',
             'hypothesis>=6.100',
             'ruff>=0.12',
+            'codespell>=2.4',
             'mypy>=1.15',
             'types-PyYAML',
             'types-tqdm',

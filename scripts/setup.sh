@@ -59,7 +59,6 @@ unset LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE PYTHONPATH
 pip() { "$venv/bin/python" -m pip --disable-pip-version-check -q "$@"; }
 say "installing Python packages for make $purpose (constraints.txt; the first time takes minutes)"
 pip install -c constraints.txt 'setuptools>=77.0.3,<80' wheel
-pip install -c constraints.txt 'torch==2.13.0'
 pip install -c constraints.txt --no-build-isolation -e ".[$extras]"
 if [ "$purpose" = test ]; then
   "$venv/bin/python" scripts/build_tf2_msgs.py --quiet \

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from mkdocs.structure.files import File
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from mkdocs.config.defaults import MkDocsConfig
     from mkdocs.structure.files import Files
@@ -180,9 +180,8 @@ def sections(config: Any, path: str, title: str) -> Iterator[str]:
     fields = dataclasses.fields(config)
     plain = [f for f in fields if not dataclasses.is_dataclass(getattr(config, f.name))]
     if plain:
-        head = ('option', 'default', 'range', 'unit', 'description')
-        if title == 'Node':
-            head = (*head, 'at run time')
+        last = ('at run time',) if title == 'Node' else ()
+        head = ('option', 'default', 'range', 'unit', 'description', *last)
         yield table(head, [option(f, getattr(config, f.name), path, title) for f in plain])
     for field in fields:
         value = getattr(config, field.name)
@@ -298,7 +297,7 @@ class Code:
         """Keys of the largest dict literal in a function."""
         found = (n for n in ast.walk(self.find(function)) if isinstance(n, ast.Dict))
         largest = max(found, key=lambda n: len(n.keys))
-        return [k.value for k in largest.keys if isinstance(k, ast.Constant)]
+        return [str(k.value) for k in largest.keys if isinstance(k, ast.Constant)]
 
     def attributes(self, name: str) -> str:
         """Table of the attributes that the docstring of a class describes, with their types."""
@@ -389,7 +388,7 @@ def model_files() -> Iterator[str]:
 # Markdown
 
 
-def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+def table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
     """Table in Markdown."""
     lines = ['| ' + ' | '.join(head) + ' |', '|' + '---|' * len(head)]
     return '\n'.join([*lines, *('| ' + ' | '.join(cell(c) for c in row) + ' |' for row in rows)])

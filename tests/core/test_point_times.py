@@ -27,30 +27,36 @@ TRUE_S = np.linspace(0.0, 0.1, 50)
 def test_units_found_by_themselves(name, raw):
     times, note = to_seconds(raw, STAMP)
     assert note == ''
+    assert times is not None
     np.testing.assert_allclose(times, TRUE_S, atol=2e-6)
 
 
 def test_hesai_epoch_seconds():
     # A float64 holds epoch seconds to 0.24 microseconds.
     times, note = to_seconds(TRUE_S + STAMP / 1e9, STAMP)
+    assert times is not None
     np.testing.assert_allclose(times, TRUE_S, atol=1e-6)
     assert note == ''
 
 
 def test_negative_times_mean_the_stamp_is_the_end():
     times, _ = to_seconds((TRUE_S - 0.1).astype(np.float32), STAMP)
+    assert times is not None
     np.testing.assert_allclose(times, TRUE_S - 0.1, atol=1e-7)
 
 
 def test_foreign_clock_is_anchored_at_the_first_point():
     times, _ = to_seconds((TRUE_S * 1e9).astype(np.uint64) + np.uint64(77 * 10**9), STAMP)
+    assert times is not None
     np.testing.assert_allclose(times, TRUE_S, atol=2e-9)
 
 
 def test_given_unit_wins():
     times, _ = to_seconds(TRUE_S * 10, STAMP, unit='s')
+    assert times is not None
     np.testing.assert_allclose(times, TRUE_S * 10)
     times, _ = to_seconds(TRUE_S * 10, STAMP, unit='normalised', scan_period_s=0.05)
+    assert times is not None
     np.testing.assert_allclose(times, TRUE_S / 2)
 
 

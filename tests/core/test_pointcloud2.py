@@ -77,6 +77,7 @@ def test_one_mask_for_all_fields():
     t = np.array([0.0, 0.01, 0.02, 0.03], dtype=np.float32)
     scan = to_scan(message(from_arrays(points, {'t': t})))
     np.testing.assert_array_equal(scan.rows, [0, 3])
+    assert scan.times is not None
     np.testing.assert_allclose(scan.times, [0.0, 0.03], atol=1e-7)
     assert (len(scan), scan.size, scan.dropped) == (2, 4, 2)
 

@@ -194,9 +194,9 @@ def test_plane_icp_mends_a_rough_pose(views: tuple[View, View]) -> None:
 def test_register_keeps_the_pose_of_lgr(compact_net: HybridRegNet, room: F32) -> None:
     assert ModelConfig().estimator == 'verified'
     model = HybridReg(compact_net.config, compact_net)
-    r = model.register(room, room + np.float32([0.8, -0.4, 0.4]), voxel_size_m=0.05)
+    r = model.register(room, room + np.array([0.8, -0.4, 0.4], np.float32), voxel_size_m=0.05)
     plain = HybridReg(ModelConfig(estimator='lgr'), compact_net)
-    other = plain.register(room, room + np.float32([0.8, -0.4, 0.4]), voxel_size_m=0.05)
+    other = plain.register(room, room + np.array([0.8, -0.4, 0.4], np.float32), voxel_size_m=0.05)
     np.testing.assert_array_equal(r.T_lgr, other.T_lgr)
     assert r.features.fit > 0.5
     assert other.features.fit == 0.0
@@ -206,5 +206,5 @@ def test_grid_of_a_cloud_that_fills_space_stays_small() -> None:
     points = np.random.default_rng(0).uniform(-5000, 5000, (3000, 3)).astype(np.float32)
     grid = Grid.build(points, 1.0)
     assert grid.nearest.size <= 24_000_000
-    flat = points * np.float32([1, 1, 0.001])
+    flat = points * np.array([1, 1, 0.001], np.float32)
     assert Grid.build(flat, 1.0).nearest.shape[0] == 500

@@ -21,14 +21,16 @@ def _world(errors: np.ndarray, seed: int = 0) -> tuple:
     rng = np.random.default_rng(seed)
     grid = np.stack(np.meshgrid(*[np.arange(-3, 4)] * 3), axis=-1).reshape(-1, 3) * 1.6 + 0.4
     grid = grid[: len(errors)]
-    points, normals, offs = [], [], []
+    rows: list[np.ndarray] = []
+    sides: list[np.ndarray] = []
+    offs: list[np.ndarray] = []
     for centre, error in zip(grid, errors, strict=True):
         for axis in range(3):
             at = rng.uniform(-0.3, 0.3, (8, 3))
-            points.append(centre + at)
-            normals.append(np.tile(np.eye(3)[axis], (8, 1)))
+            rows.append(centre + at)
+            sides.append(np.tile(np.eye(3)[axis], (8, 1)))
             offs.append(np.full(8, error[axis]))
-    points, normals = np.concatenate(points), np.concatenate(normals)
+    points, normals = np.concatenate(rows), np.concatenate(sides)
     surfaces = Surfaces(len(points))
     surfaces.kind[:] = kernels.PLANE
     surfaces.normal[:] = normals

@@ -18,7 +18,7 @@ from hybridreg_ros.odometry.registration.kiss import KissRegistration
 from hybridreg_ros.odometry.result import OdometryResult, Reason, Source
 
 
-def run(clouds: list, **settings: object) -> list[OdometryResult]:
+def run(clouds: list, **settings: Any) -> list[OdometryResult]:
     odometry = HybridOdometry(OdometryConfig(**settings), model=None)
     return [odometry.step(scan) for scan in clouds]
 
@@ -138,7 +138,8 @@ def test_the_pose_is_given_before_the_map_knows_the_scan() -> None:
 
 
 def test_refused_scans_have_no_early_result() -> None:
-    clouds, early = scans(walk(2), lidar_rays()), []
+    clouds = scans(walk(2), lidar_rays())
+    early: list[OdometryResult] = []
     odometry = HybridOdometry(OdometryConfig(), model=None)
     for scan in (*clouds, clouds[1]):
         odometry.step(scan, early.append)

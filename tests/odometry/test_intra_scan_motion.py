@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -96,10 +97,7 @@ def worst_step(scans: list[Scan], config: OdometryConfig) -> tuple[float, float]
 
 
 def test_a_rough_ride_keeps_its_poses_from_the_first_step_on() -> None:
-    scans = [
-        Scan(sweep(lambda t, k=k: ride(k, t), k), times=TIMES, stamp=1.0 + 0.1 * k)
-        for k in range(8)
-    ]
+    scans = [Scan(sweep(partial(ride, k), k), times=TIMES, stamp=1.0 + 0.1 * k) for k in range(8)]
     turn_deg, shift_m = worst_step(scans, OdometryConfig())
     assert turn_deg < 0.6
     assert shift_m < 0.06
@@ -111,10 +109,7 @@ def test_a_velocity_that_proves_wrong_leaves_the_first_map_as_it_was(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     odometry = HybridOdometry(OdometryConfig(), model=None)
-    scans = [
-        Scan(sweep(lambda t, k=k: ride(k, t), k), times=TIMES, stamp=1.0 + 0.1 * k)
-        for k in range(3)
-    ]
+    scans = [Scan(sweep(partial(ride, k), k), times=TIMES, stamp=1.0 + 0.1 * k) for k in range(3)]
     odometry.step(scans[0])
     tracker = odometry._tracker
     assert tracker is not None

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pytest
 from tiny_world import ROOM, Ball, Box, cast, depth_rays, lidar_rays, pose, walk
@@ -49,6 +51,9 @@ from hybridreg_ros.odometry.visibility.range_image import (
     RangeImage,
     view_of,
 )
+
+if TYPE_CHECKING:
+    from hybridreg_ros.odometry.registration.alignment import Basin
 
 CLOUD = cast(ROOM, pose(-1.0, -0.5, 0.0), lidar_rays(360, 40))[0]
 
@@ -200,7 +205,7 @@ def filled_map(voxel_m: float = 0.15) -> LocalMap:
         ('coarse', [0.3, -0.2, 0.05, 0.02, 0.0, 0.3]),
     ],
 )
-def test_refinement_comes_back_from_an_offset(basin: str, offset: list[float]) -> None:
+def test_refinement_comes_back_from_an_offset(basin: Basin, offset: list[float]) -> None:
     guess = se3.exp(np.array(offset))
     points = cast(ROOM, pose(-1.0, -0.5, 0.0), lidar_rays(360, 40), seed=5)[0][::3]
     fit = align(points, guess, filled_map(), RefineConfig(max_iterations=40), basin=basin)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,6 +31,10 @@ if TYPE_CHECKING:
 EXPECTED = Expected(HERE, 0.05, 0.02, 0.1)
 TWIST = np.array([2.0, 0.1, 0.0, 0.05, 0.3, -0.2])
 MIDDLE = 0.05
+
+
+def standing(T: np.ndarray, time_s: float) -> np.ndarray:
+    return T
 
 
 def clouds() -> list[PreprocessedScan]:
@@ -171,7 +176,7 @@ def test_a_scan_without_points_is_not_continued(monkeypatch: pytest.MonkeyPatch)
     odometry = HybridOdometry(OdometryConfig(), model=None)
     for k in range(6):
         T = pose(-1.0 + 0.1 * k, -0.5, 0.0)
-        points = sweep(lambda t, T=T: T, seed=k) if k != 4 else np.zeros((0, 3), np.float32)
+        points = sweep(partial(standing, T), seed=k) if k != 4 else np.zeros((0, 3), np.float32)
         times = TIMES[: len(points)]
         odometry.step(Scan(points, times=times, stamp=1.0 + 0.1 * k, frame_id='s'))
     assert [one.start is not None for one in told] == [False, True, True, False]

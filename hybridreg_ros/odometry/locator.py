@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -103,6 +103,7 @@ class Locator:
     def locate(
         self,
         cloud: PreprocessedScan,
+        encoding: Any,
         expected: Expected,
         last: F64,
         trust: F32,
@@ -112,6 +113,7 @@ class Locator:
 
         Args:
             cloud: the preprocessed scan.
+            encoding: of it, by the network branch; None without one.
             expected: pose by constant velocity.
             last: (4, 4) last pose.
             trust: (K,) weight per registered point.
@@ -123,7 +125,8 @@ class Locator:
         check = partial(self._judged, cloud, trust, expected)
         proposal = None
         if self._learned is not None:
-            proposal = self._learned.propose(self._world.keyframes.to_match(expected.pose), watch)
+            keyframe = self._world.keyframes.to_match(expected.pose)
+            proposal = self._learned.propose(encoding, keyframe)
             watch.lap('match')
         if proposal is not None:  # its mask knows of those who came since the last scan
             still = trust * (1.0 - proposal.uncertainty[cloud.icp_in_map])
@@ -141,11 +144,12 @@ class Locator:
         """What is known of the pose that was found for the last scan, all ways considered."""
         return reported_confidence.of(found, self.judged, self._voxel_m)
 
-    def relocate(self, cloud: PreprocessedScan, last: F64) -> Located | Reason:
+    def relocate(self, cloud: PreprocessedScan, encoding: Any, last: F64) -> Located | Reason:
         """Pose of a scan when the last pose says little: by the fallback, then by keyframes.
 
         Args:
             cloud: the preprocessed scan.
+            encoding: of it, by the network branch; None without one.
             last: (4, 4) last pose before the loss.
         """
         trust = np.ones(len(cloud.icp_rows), np.float32)
@@ -156,7 +160,7 @@ class Locator:
             return found
         if self._learned is not None:
             for keyframe in self._world.keyframes.nearest(last, self._config.lost.keyframes_tried):
-                proposal = self._learned.propose(keyframe)
+                proposal = self._learned.propose(encoding, keyframe)
                 by_network = self._by_network(cloud, proposal, trust, check)
                 if isinstance(by_network, Located):
                     return by_network

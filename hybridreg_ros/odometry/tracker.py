@@ -7,11 +7,12 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from hybridreg_ros.core import se3
+from hybridreg_ros.core.pages import give_back
 from hybridreg_ros.odometry.locator import Locator
 from hybridreg_ros.odometry.network_branch import LearnedBranch
 from hybridreg_ros.odometry.registration import covariance
@@ -79,37 +80,43 @@ class Tracker:
         self._opening: tuple[PreprocessedScan, int] | None = None
         self._continuity = ScanContinuity()
 
-    def step(self, cloud: PreprocessedScan, stamp: int, watch: Watch) -> Estimate:
+    def encode(self, cloud: PreprocessedScan) -> Any:
+        """Encoding of a cloud by the network; None without one. Needs nothing of earlier scans."""
+        if self._learned is None or len(cloud.icp_rows) < self._config.input.min_points:
+            return None
+        return self._learned.encode(cloud.map_points)
+
+    def step(self, cloud: PreprocessedScan, encoding: Any, stamp: int, watch: Watch) -> Estimate:
         """Locate a cloud and update the pose chain; map and keyframes are left to the estimate.
 
         Args:
             cloud: the preprocessed scan.
+            encoding: of it, by `encode`.
             stamp: its stamp, ns.
             watch: books the time per stage.
         """
         self._locator.judged = []
         if len(cloud.icp_rows) < self._config.input.min_points:
             return self._bad(cloud, stamp, Reason.TOO_FEW_POINTS)
-        if self._learned is not None:
-            self._learned.begin(cloud.map_points)
         if len(self._world.map) == 0:
-            return self._begin(cloud, stamp, Reason.FIRST_SCAN)
+            return self._begin(cloud, encoding, stamp, Reason.FIRST_SCAN)
         expected = self._continuity.expect(self._motion.expect(stamp), cloud, stamp)
         trust = self._world.dynamics.trust(cloud.icp_points, predicted := expected.pose)
         if self.lost:
-            found = self._locator.relocate(cloud, self._motion.pose)
+            found = self._locator.relocate(cloud, encoding, self._motion.pose)
         else:
-            found = self._locator.locate(cloud, expected, self._motion.pose, trust, watch)
+            last = self._motion.pose
+            found = self._locator.locate(cloud, encoding, expected, last, trust, watch)
         if isinstance(found, Located) and self._opens(cloud, stamp):
-            cloud, predicted, found = self._opened(cloud, stamp, found, watch)
+            cloud, predicted, found = self._opened(cloud, encoding, stamp, found, watch)
         self._opening = None
         watch.lap('refine')
         if isinstance(found, Located) and self._is_last_straw(found):
             found = found.reason
         if isinstance(found, Located):
-            return self._accept(cloud, stamp, predicted, found)
+            return self._accept(cloud, encoding, stamp, predicted, found)
         if self.lost and self._give_up():
-            return self._begin(cloud, stamp, Reason.RECOVERED)
+            return self._begin(cloud, encoding, stamp, Reason.RECOVERED)
         return self._bad(cloud, stamp, found)
 
     @property
@@ -128,7 +135,7 @@ class Tracker:
         return self._opening[1] == self._motion.stamp < stamp
 
     def _opened(
-        self, cloud: PreprocessedScan, stamp: int, found: Located, watch: Watch
+        self, cloud: PreprocessedScan, encoding: Any, stamp: int, found: Located, watch: Watch
     ) -> tuple[PreprocessedScan, F64, Located]:
         """Make the map of the first scan again, deskewed by the velocity that the second shows.
 
@@ -149,7 +156,7 @@ class Tracker:
             self._restart(first.moved_by(twist), begun, since)
             ones = np.ones(len(cloud.icp_rows), np.float32)
             expected = replace(self._motion.expect(stamp), pose=predicted)
-            again = self._locator.locate(cloud, expected, begun, ones, watch)
+            again = self._locator.locate(cloud, encoding, expected, begun, ones, watch)
             if isinstance(again, Reason):  # the velocity was wrong, so as it was before
                 self._restart(first, start, since)
                 return still, start, found
@@ -164,7 +171,7 @@ class Tracker:
             self._learned.forget(keyframe)
 
     def _accept(
-        self, cloud: PreprocessedScan, stamp: int, predicted: F64, found: Located
+        self, cloud: PreprocessedScan, encoding: Any, stamp: int, predicted: F64, found: Located
     ) -> Estimate:
         """Write a pose to the chain; what its scan tells the world is left to the estimate."""
         pose, was_lost = found.fit.T_odom_sensor, self.lost
@@ -193,18 +200,21 @@ class Tracker:
         reason = Reason.RECOVERED if was_lost else found.reason
         told = self._locator.confidence_of(found)
         estimate = self._estimate(pose, reason, told.confidence, nothing(cloud), False)
-        update = partial(self._update, cloud, stamp, found)
+        update = partial(self._update, cloud, encoding, stamp, found)
         return replace(estimate, reported=reported, reported_confidence=told, update=update)
 
-    def _update(self, cloud: PreprocessedScan, stamp: int, found: Located, watch: Watch) -> Update:
+    def _update(
+        self, cloud: PreprocessedScan, encoding: Any, stamp: int, found: Located, watch: Watch
+    ) -> Update:
         """Say what moves in a located scan, and write what stands still to the world."""
         dynamic, image = self._world.moving(cloud, found)
         watch.lap('dynamics')
         keyframe = self._world.add(cloud, stamp, found, dynamic, image)
         if keyframe is not None:
-            self._adopt(keyframe)
+            self._adopt(keyframe, encoding)
         if self._learned is not None:
             self._learned.keep_only(self._world.keyframes.recent)
+            give_back()  # what the network took for this scan
         watch.lap('map')
         return Update(dynamic, keyframe is not None, self._keyframe_id)
 
@@ -213,7 +223,9 @@ class Tracker:
         last = self._world.keyframes.last
         return 0 if last is None else last.number
 
-    def _begin(self, cloud: PreprocessedScan, stamp: int, reason: Reason) -> Estimate:
+    def _begin(
+        self, cloud: PreprocessedScan, encoding: Any, stamp: int, reason: Reason
+    ) -> Estimate:
         """Start a map at the last pose: the first scan, or a new start after a loss.
 
         After a loss the way between the old map and the new one is not known: the pose of that
@@ -225,7 +237,7 @@ class Tracker:
         self.source = Source.KISS_ICP if self._learned is None else Source.HYBRIDREG
         first = reason is Reason.FIRST_SCAN
         self.covariance = covariance.first() if first else covariance.lost()
-        self._adopt(self._world.begin(cloud, pose, stamp))
+        self._adopt(self._world.begin(cloud, pose, stamp), encoding)
         self._opening = None if cloud.times is None else (cloud, stamp)
         return self._estimate(pose, reason, float(first), nothing(cloud), is_keyframe=True)
 
@@ -254,10 +266,10 @@ class Tracker:
         self._motion.hold(pose, stamp)
         self._continuity.end()
 
-    def _adopt(self, keyframe: Keyframe) -> None:
-        """Let the network match against a keyframe that the current scan has become."""
+    def _adopt(self, keyframe: Keyframe, encoding: Any) -> None:
+        """Let the network match against a keyframe that a scan has become."""
         if self._learned is not None:
-            self._learned.adopt(keyframe)
+            self._learned.adopt(keyframe, encoding)
 
     def _give_up(self) -> bool:
         """Whether the old map is given up; then it is forgotten, with all that belongs to it."""

@@ -11,11 +11,14 @@ import numpy as np
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.pointcloud2 import CloudData, from_arrays
 from hybridreg_ros.replay.bag_writer import BagWriter
+from hybridreg_ros.replay.trajectory_io import tum_row
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+    from hybridreg_ros.metrics.trajectory import Trajectory
 
 START = 1_700_000_000_123_456_789
 PERIOD = 100_000_000
@@ -71,3 +74,9 @@ def write_room_bag(
                 bag.write_cloud(topic, stamp, 'lidar', room_cloud(i, n))
             if truth:
                 bag.write_odometry('/ground_truth/odom', stamp, ('world', 'lidar'), sensor_pose(i))
+
+
+def write_tum(path: Path, trajectory: Trajectory) -> None:
+    """Write a TUM file, row by row as `hybridreg replay` does."""
+    rows = zip(trajectory.stamps, trajectory.poses, strict=True)
+    path.write_text(''.join(tum_row(s, T) + '\n' for s, T in rows), encoding='ascii')

@@ -7,7 +7,6 @@ from __future__ import annotations
 import heapq
 import logging
 import struct
-from collections import defaultdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -233,20 +232,6 @@ def trajectory_of(poses: Iterable[tuple[int, Any]]) -> Trajectory:
 def _matrix(pose: Any) -> Any:
     q, p = pose.orientation, pose.position
     return se3.transform(from_quaternion(q.x, q.y, q.z, q.w), np.array([p.x, p.y, p.z]))
-
-
-def group_by_stamp(
-    bag: Bag, topics: Collection[str]
-) -> Iterator[tuple[int, dict[str, BagMessage]]]:
-    """Messages of several topics that share a header stamp, in stamp order."""
-    groups: dict[int, dict[str, BagMessage]] = defaultdict(dict)
-    for message in bag.messages(topics):
-        groups[message.stamp][message.topic] = message
-        while len(groups) > REORDER_WINDOW:
-            first = min(groups)
-            yield first, groups.pop(first)
-    for stamp in sorted(groups):
-        yield stamp, groups[stamp]
 
 
 def open_bag(path: str | Path) -> Bag:

@@ -228,11 +228,13 @@ def literal(value: Any) -> str:
 
 def unit(name: str, doc: str) -> str:
     """Unit of an option, by the end of its name or by what its description says."""
+    if 'degrees/s' in doc:
+        return '°/s'
     for end, text in _UNITS:
         if name.endswith(end):
             return text
     for text in ('finest voxels', 'coarse voxels', 'voxels', 'metres', 'seconds', 'm/s', 'points'):
-        if re.search(rf'(in|,|so many) ({text})\b', doc):
+        if re.search(rf'(in|,)( its)? ({text})\b', doc):
             return text
     return 'share' if re.search(r'\bshare\b|\bP\(', doc.split(',', maxsplit=1)[0]) else ''
 

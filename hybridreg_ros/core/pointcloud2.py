@@ -255,7 +255,7 @@ def _dtype(msg: Any) -> np.dtype[Any]:
         if f.datatype not in _FORMATS:
             raise PointCloudError(f'field {f.name}: unknown datatype {f.datatype}, expected 1..8')
         if f.name in names:
-            raise PointCloudError(f'field {f.name} stands twice in the PointCloud2')
+            raise PointCloudError(f'field {f.name} occurs twice in the PointCloud2')
         count = max(int(f.count), 1)
         end = int(f.offset) + count * np.dtype(_FORMATS[f.datatype]).itemsize
         if f.offset < 0 or end > step:
@@ -282,7 +282,7 @@ def _rows(msg: Any) -> NDArray[np.uint8]:
     if height * width == 0:
         return np.zeros((0, max(step, 1)), dtype=np.uint8)
     if step <= 0:
-        raise PointCloudError(f'point_step is {step}, expected the bytes of one point')
+        raise PointCloudError(f'point_step is {step}, expected the size of one point in bytes')
     if row_step < width * step:
         raise PointCloudError(
             f'row_step is {row_step}, expected >= width * point_step = {width * step}'

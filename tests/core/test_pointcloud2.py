@@ -145,7 +145,7 @@ def good():
         ({'row_step': 10}, 'row_step is 10, expected >= '),
         ({'data': np.zeros(7, np.uint8)}, 'truncated data: 1x10 points need 120 bytes, found 7'),
         ({'fields': (Field('x', 0, 9, 1),)}, 'unknown datatype 9'),
-        ({'fields': (Field('x', 0, 7, 1), Field('x', 4, 7, 1))}, 'stands twice'),
+        ({'fields': (Field('x', 0, 7, 1), Field('x', 4, 7, 1))}, 'occurs twice'),
         ({'fields': (Field('x', -4, 7, 1),)}, 'wrong point_step'),
     ],
 )

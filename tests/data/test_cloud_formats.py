@@ -116,7 +116,7 @@ def test_bad_clouds(tmp_path: Path) -> None:
         'a.bin': (b'12345', r'5 bytes are not a multiple of 16'),
         'a.ply': (b'play', 'does not begin with "ply"'),
         'b.ply': (b'ply\nformat ascii 1.0\n', 'no end_header line'),
-        'c.ply': (b'ply\nformat ascii 1.0\nelement face 1\nend_header\n', 'stands before vertex'),
+        'c.ply': (b'ply\nformat ascii 1.0\nelement face 1\nend_header\n', 'comes before vertex'),
         'd.ply': (
             b'ply\nformat binary_little_endian 1.0\nelement vertex 0\nproperty float x\n'
             b'end_header\n', 'no field y, z; found x',

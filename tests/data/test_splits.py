@@ -134,11 +134,11 @@ def test_nothing_is_mixed(tmp_path: Path, scenes: list[int]) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         generate_split(SPLIT, 5, 0, begun, progress=stop)
-    with pytest.raises(ConfigError, match='was begun with'):
+    with pytest.raises(ConfigError, match='was started with'):
         generate_split(SPLIT, 5, 3, begun)
     (tmp_path / 'c').mkdir()
     (tmp_path / 'c' / 'mine.txt').write_text('keep')
-    with pytest.raises(ConfigError, match='neither empty nor a begun split'):
+    with pytest.raises(ConfigError, match='neither empty nor an unfinished split'):
         generate_split(SPLIT, 5, 0, tmp_path / 'c')
 
 

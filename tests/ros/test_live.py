@@ -98,5 +98,5 @@ def test_wrong_rate_is_an_error(bag):
 
 def test_a_node_that_cannot_start_says_why(bag):
     settings = NodeConfig(weights='/nowhere/weights.safetensors')
-    with pytest.raises(HybridRegError, match=r'odometry_node ended with code 2: .*nowhere'):
+    with pytest.raises(HybridRegError, match=r'odometry_node exited with code 2: .*nowhere'):
         run_live(bag, None, node_config=settings, domain_id=domain())

@@ -247,7 +247,7 @@ class TestDiagnostics:
         ({'extrinsic': (1.0,)}, 'expected 7 numbers'),
         ({'odom_frame': ''}, 'odom_frame: expected a frame name'),
         ({'base_frame': '/base'}, 'expected a frame without leading /'),
-        ({'base_frame': 'odom'}, 'expected another frame than odom_frame'),
+        ({'base_frame': 'odom'}, 'expected a frame other than odom_frame'),
         ({'queue_depth': 0}, 'queue_depth: expected >= 1, found 0'),
     ],
 )

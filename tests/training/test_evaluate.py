@@ -13,7 +13,7 @@ import torch
 from conftest_training import TINY, make_pair
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.core.config import load_yaml
+from hybridreg_ros.core.config import dump_yaml, load_yaml
 from hybridreg_ros.core.errors import FileFormatError
 from hybridreg_ros.data.pair import Label
 from hybridreg_ros.model.network.network import HybridRegNet
@@ -195,4 +195,5 @@ def test_real_pairs_align_under_their_truth(name):
 
 def test_yaml_in_config_is_the_default():
     path = Path(__file__).parents[2] / 'config' / 'train.yaml'
+    assert path.read_text('utf-8') == dump_yaml(TrainConfig())
     assert load_yaml(TrainConfig, path) == TrainConfig()

@@ -87,7 +87,7 @@ def decode_pair(blob: bytes) -> PointPair:
         )  # fmt: skip
     except (zlib.error, struct.error, ValueError, KeyError) as error:
         raise FileFormatError(
-            f'a pair of a shard cannot be read ({error}); make the shard again'
+            f'a pair of a shard cannot be read ({error}); generate the shard again'
         ) from None
 
 

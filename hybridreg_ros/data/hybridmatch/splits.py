@@ -154,7 +154,7 @@ def _reserve(folder: Path, job: _Job, pairs: int) -> SplitSummary | None:
         if there == job and known.pairs == pairs:
             return known
         raise ConfigError(
-            f'{folder} holds {known.pairs} pairs of {_said(there)}, asked for were {pairs} of '
+            f'{folder} holds {known.pairs} pairs of {_said(there)}, requested were {pairs} of '
             f'{_said(job)}: choose another folder'
         )
     note = folder / NOTES / 'job.json'
@@ -162,12 +162,14 @@ def _reserve(folder: Path, job: _Job, pairs: int) -> SplitSummary | None:
         there = _Job(**json.loads(note.read_text(encoding='utf-8')))
         if there != job:
             raise ConfigError(
-                f'{folder} was begun with {_said(there)}, asked for was {_said(job)}: '
+                f'{folder} was started with {_said(there)}, but {_said(job)} was requested: '
                 'choose another folder'
             )
         return None
     if any(p.name != NOTES for p in folder.iterdir()):
-        raise ConfigError(f'{folder} is neither empty nor a begun split: choose another folder')
+        raise ConfigError(
+            f'{folder} is neither empty nor an unfinished split: choose another folder'
+        )
     note.parent.mkdir(exist_ok=True)
     write_text(note, json.dumps(asdict(job)) + '\n')
     return None
@@ -213,5 +215,5 @@ def _noted(folder: Path, store: Layout, block: Block) -> list[Row] | None:
     except FileNotFoundError:
         return None
     except (FileFormatError, ValueError, TypeError) as error:
-        _LOG.warning('block %s is made again: %s', note.stem, error)
+        _LOG.warning('block %s is generated again: %s', note.stem, error)
         return None

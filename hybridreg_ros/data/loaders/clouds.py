@@ -122,7 +122,7 @@ def _ply(path: Path) -> NDArray[Any]:
             kind = words[1]
         elif words[:1] == ['element']:
             if count < 0 and words[1] != 'vertex':
-                raise ValueError(f'element {words[1]} stands before vertex')
+                raise ValueError(f'element {words[1]} comes before vertex')
             inside = words[1] == 'vertex'
             count = int(words[2]) if inside else count
         elif words[:1] == ['property'] and inside:

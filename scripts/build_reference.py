@@ -286,7 +286,10 @@ class Code:
     def find(self, name: str) -> Any:
         """Definition of a class or function."""
         kinds = (ast.ClassDef, ast.FunctionDef)
-        return next(n for n in ast.walk(self._tree) if isinstance(n, kinds) and n.name == name)
+        for node in ast.walk(self._tree):
+            if isinstance(node, kinds) and node.name == name:
+                return node
+        raise LookupError(name)
 
     def constant(self, name: str) -> Any:
         """Value of a constant."""
@@ -384,7 +387,7 @@ def model_files() -> Iterator[str]:
     yield '## calibration.json'
     calibration = Code(f'{PACKAGE}.odometry.selection.calibration')
     yield calibration.doc
-    yield calibration.attributes('Calibration')
+    yield calibration.attributes('OdometryCalibration')
 
 
 # Markdown

@@ -260,8 +260,8 @@ def ros() -> str:
             table(('', 'topic by default', 'name', 'type', 'depth', 'contents'), rows),
             'Services, all of type `std_srvs/srv/Trigger`:',
             table(('service by default', 'name', 'effect'), services),
-            f'Of the front end, {at_run_time} can be changed while the node runs; of the node, '
-            'everything that [its table](options.md#node) marks.',
+            f'Of the front-end parameters, {at_run_time} can be changed while the node runs; of '
+            'the node parameters, those marked in [their table](options.md#node).',
         )
     )
 
@@ -333,7 +333,7 @@ def replay_files() -> Iterator[str]:
     yield '## Recordings'
     needs = '../guide/recordings.md#what-a-bag-needs'
     yield f'A rosbag2 directory, `.mcap` or `.db3`: [what a bag needs]({needs}).'
-    yield 'Folders that `hybridreg evaluate` recognises, by what lies in them:'
+    yield 'Folders that `hybridreg evaluate` recognises, and by which files:'
     signs = importlib.import_module(f'{PACKAGE}.data.loaders.openers')._SIGNS
     yield table(('format', 'sign'), [(what, f'`{sign}`') for what, sign, _ in signs])
     yield '## odometry.tum'

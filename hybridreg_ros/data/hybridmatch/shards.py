@@ -3,7 +3,7 @@
 """Shards: many pairs in one small file, read one by one; a split is a folder of them.
 
 A shard is: 8 bytes magic, uint32 count, count + 1 uint64 offsets, then one zlib blob per pair.
-Points are stored as differences of whole steps of 1 mm (more for large scenes).
+Points are stored as differences between multiples of 1 mm (of a larger step in large scenes).
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.network_branch import LearnedBranch, Proposal
     from hybridreg_ros.odometry.preprocess import SensorModel
     from hybridreg_ros.odometry.preprocessed import PreprocessedScan
-    from hybridreg_ros.odometry.registration.alignment import Fit
+    from hybridreg_ros.odometry.registration.alignment import Basin, Fit
     from hybridreg_ros.odometry.result import Watch
     from hybridreg_ros.odometry.world import World
 
@@ -95,6 +95,10 @@ class Locator:
             Reason.REGISTRAR_KISS_ICP if config.registrar == 'kiss-icp' else Reason.NO_WEIGHTS
         )
         self._rigour = _TOLD_AGAIN[sensor.kind]
+        self._network_spread = (
+            _NETWORK_SPREAD * sensor.voxel_size_m,
+            _NETWORK_SPREAD * float(np.deg2rad(2.0)),
+        )
         self._prior: Expected | None = None
         self._reach_m: float | None = None
         self.learn = self._fallback.learn
@@ -132,7 +136,7 @@ class Locator:
             still = trust * (1.0 - proposal.uncertainty[cloud.icp_in_map])
             if (still > 0.5).sum() >= _LEFT * (trust > 0.5).sum():
                 check = partial(self._judged, cloud, still, expected)
-        found = self._by_network(cloud, proposal, trust, check)
+        found = self._by_network(cloud, proposal, trust, check, expected)
         watch.lap('refine')
         if isinstance(found, Located) and self.confidence_of(found).confidence >= self._sure:
             return found
@@ -219,7 +223,7 @@ class Locator:
         """
         if self._prior is None:
             return None
-        shift_m, turn_rad = _NETWORK_SPREAD * np.array([self._voxel_m, np.deg2rad(2.0)])
+        shift_m, turn_rad = self._network_spread
         both = replace(
             self._prior,
             shift_m=float(np.hypot(self._prior.shift_m, shift_m)),
@@ -227,12 +231,31 @@ class Locator:
         )
         return self._prior if np.abs(both.off(pose)).max() <= _FAR else None
 
+    def _start_between(
+        self, pose: F64, expected: Expected, cloud: PreprocessedScan
+    ) -> tuple[F64, Basin]:
+        """Where and how coarsely the alignment starts, when the network agrees with the motion.
+
+        The coarse pull is for guesses that may be a voxel off; the mean of a pose of the network
+        and the expected one, weighed by what each is worth, often is not.
+
+        Args:
+            pose: (4, 4) of the network.
+            expected: by the motion so far.
+            cloud: the preprocessed scan.
+        """
+        best = expected.fused(pose, *self._network_spread)
+        reach_m = float(np.median(np.linalg.norm(cloud.icp_points, axis=1)))
+        sure = _FAR * (best.shift_m + reach_m * best.turn_rad) < self._world.map.fine.size_m
+        return best.pose, 'fine' if sure else 'middle'
+
     def _by_network(
         self,
         cloud: PreprocessedScan,
         proposal: Proposal | None,
         trust: F32,
         check: Callable[[Fit], Candidate],
+        expected: Expected | None = None,
     ) -> Located | Reason:
         """The network's pose, refined in the map; or why it is not taken."""
         if proposal is None:
@@ -240,9 +263,11 @@ class Locator:
         if proposal.confidence < self._config.gate.enter:
             return Reason.LOW_CONFIDENCE
         start, settings = proposal.T_odom_sensor, self._config.refine
-        fit = align_scan(
-            cloud, start, self._world.map, settings, trust, 'middle', self._prior_near(start)
-        )
+        prior = self._prior_near(start)
+        basin: Basin = 'middle'
+        if prior is not None and expected is not None:
+            start, basin = self._start_between(start, expected, cloud)
+        fit = align_scan(cloud, start, self._world.map, settings, trust, basin, prior)
         candidate = check(fit)
         if candidate.verdict.fault is not None:
             return candidate.verdict.fault

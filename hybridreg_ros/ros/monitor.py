@@ -58,6 +58,7 @@ class Snapshot:
         reason: why that branch.
         confidence: of the last result.
         deskewed: whether the last scan was deskewed.
+        load: of the last result; above 0 less is done per cloud.
         last_switch: one line about the last change of source.
         note: remark of the decoder about per-point times, '' for none.
         timings_s: seconds per stage of the last result.
@@ -79,6 +80,7 @@ class Snapshot:
     reason: Reason
     confidence: float
     deskewed: bool
+    load: int
     last_switch: str
     note: str
     timings_s: Mapping[str, float] = field(default_factory=dict)
@@ -182,6 +184,7 @@ class Monitor:
                 reason=Reason.OK if result is None else result.reason,
                 confidence=0.0 if result is None else result.confidence,
                 deskewed=result is not None and result.deskewed,
+                load=0 if result is None else result.load,
                 last_switch=self._switch,
                 note=self._note,
                 timings_s={} if result is None else dict(result.timings_s),

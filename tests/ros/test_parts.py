@@ -259,10 +259,10 @@ def test_node_config_refuses(change, text):
 class _Stumbling(HybridOdometry):
     """The real front end with a bug in its second step."""
 
-    def locate(self, scan):
+    def locate(self, scan, behind=False):
         if scan.stamp == 2 * 10**8:
             raise ZeroDivisionError('a bug')
-        return super().locate(scan)
+        return super().locate(scan, behind)
 
 
 @pytest.mark.filterwarnings('ignore::pytest.PytestUnhandledThreadExceptionWarning')

@@ -18,7 +18,7 @@ class AugmentConfig:
         0.5, 'share of pairs whose two clouds both get the same rotation, any', low=0.0, high=1.0
     )
     yaw_share: float = option(
-        0.0, 'share of the others turned about the vertical (z), any angle', low=0.0, high=1.0
+        0.0, 'share of the others turned about the vertical, any angle', low=0.0, high=1.0
     )
     tilt_share: float = option(
         0.0, 'share of the others tilted about a random horizontal axis', low=0.0, high=1.0

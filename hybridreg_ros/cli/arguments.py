@@ -95,6 +95,13 @@ def _weights(p: argparse.ArgumentParser) -> None:
     p.add_argument('--weights', type=Path, metavar='FILE', help='checkpoint instead of ours')
 
 
+def _budget(p: argparse.ArgumentParser) -> None:
+    p.add_argument('--max-points', type=_number(int, 100, 1e9), metavar='N',
+                   help='voxels a cloud may have (default: full size)')  # fmt: skip
+    p.add_argument('--max-superpoints', type=_number(int, 8, 1e9), metavar='N',
+                   help='the same of the coarsest level')  # fmt: skip
+
+
 def _dask(p: argparse.ArgumentParser) -> None:
     p.add_argument('--workers', type=COUNT, default=1, metavar='N', help='processes (default 1)')
     p.add_argument(
@@ -248,6 +255,7 @@ def _ship(commands: Commands) -> None:
     p.add_argument('weights', type=Path, metavar='CHECKPOINT', help='of a training run')
     p.add_argument('data', type=Path, nargs='+', metavar='DATA', help='validation pairs')
     p.add_argument('--out', type=Path, required=True, metavar='FILE')
+    _budget(p)
 
 
 def _evaluate(commands: Commands) -> None:
@@ -259,12 +267,15 @@ def _evaluate(commands: Commands) -> None:
         help='folders: shards, 3DMatch, ETH, KITTI, TUM, 7-Scenes, or HybridMatch as released',
     )  # fmt: skip
     p.add_argument('--method', default='hybridreg', metavar='NAME',
-                   help='hybridreg; no-mask lgr lgr-no-mask ransac-N lgr-top-N; without a '
-                        'network: fpfh kiss-matcher (need the extra bench)')  # fmt: skip
+                   help='hybridreg; no-mask one-attempt lgr lgr-no-mask ransac-N lgr-top-N; '
+                        'without a network: fpfh kiss-matcher (need the extra bench)')  # fmt: skip
     p.add_argument('--limit', type=COUNT, metavar='N', help='at most n pairs of each')
     p.add_argument('--keep', type=Path, metavar='FILE',
                    help='scores pair by pair; started again with it, goes on')  # fmt: skip
     p.add_argument('--markdown', type=Path, metavar='FILE', help='also write the tables')
+    p.add_argument('--attempts', type=COUNT, metavar='N',
+                   help='at most n attempts at a pair (default: as the weights say)')  # fmt: skip
+    _budget(p)
     _weights(p)
     _dask(p)
 

@@ -6,8 +6,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from hybridreg_ros.core.config import option, validate
 from hybridreg_ros.core.errors import ConfigError
+from hybridreg_ros.model.budget import Budget
 
 
 @dataclass(frozen=True)
@@ -167,6 +170,19 @@ class BudgetConfig:
                 f'fewest_points: expected at most most_points = {self.most_points}, found '
                 f'{self.fewest_points}'
             )
+
+    def drawn(self, rng: np.random.Generator) -> Budget | None:
+        """A random budget, log-uniform; None when the voxel follows none."""
+        if not self.fewest_points:
+            return None
+        low, high = np.log([self.fewest_points, self.most_points])
+        return Budget(round(float(np.exp(rng.uniform(low, high)))), self.max_superpoints)
+
+    def validating(self) -> Budget | None:
+        """That of the validation pairs; None when the voxel follows none."""
+        if not self.fewest_points:
+            return None
+        return Budget(self.validation_points, self.max_superpoints)
 
 
 @dataclass(frozen=True)

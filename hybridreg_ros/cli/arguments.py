@@ -224,7 +224,7 @@ def _generate(commands: Commands) -> None:
     p.add_argument(
         'split',
         help='{room,street}-{match,lomatch}-{rigid,10-30,30-50}, all for these twelve (one folder '
-        'each in DIR), or {room,street}-train',
+        'each in DIR), or {room,street}-{train,recorded}',
     )
     p.add_argument('--part', choices=('train', 'val', 'test'), default='train',
                    help='whose seeds and number of pairs (default train)')  # fmt: skip

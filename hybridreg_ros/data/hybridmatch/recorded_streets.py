@@ -43,9 +43,14 @@ KIND = Kind('street-recorded', 0.3, 0.3, 0.04)
 _MOST_MOVING = 0.018
 _THIN_M = 0.06
 _RAYS = (40_000, 131_072)
+_REACH_FACTOR = (0.8, 2.2)
 _DESKEW_ERROR = 0.03
 _CLEAR_M, _CLEAR_AT = 1.2, 7
 _TILTED_SHARE, _TILT_DEG = 0.2, 25.0
+_PLACES = {
+    'street': 0.4, 'road': 0.25, 'car_park': 0.1, 'park': 0.1, 'square': 0.1, 'warehouse': 0.05
+}  # fmt: skip
+_AHEAD = {'rosette': rosette, 'raster': raster}
 _MODELS = {
     'double64': 0.3, 'even32': 0.13, 'even16': 0.15, 'wide64': 0.08, 'narrow64': 0.08,
     'wide128': 0.05, 'dome64': 0.03, 'dense32': 0.03, 'dense128': 0.04, 'rosette': 0.07,
@@ -84,7 +89,10 @@ def recorded_street(seed: int, count: int = PAIRS_A_SCENE) -> list[Sample]:
         count: most pairs.
     """
     rng = np.random.default_rng([seed, 5])
-    world = make_street(rng, None, (0.0, 0.0), travel_m=REACH_M + 5.0)
+    kind = str(rng.choice(list(_PLACES), p=list(_PLACES.values())))
+    world = make_street(
+        rng, kind, (0.0, 0.0), travel_m=REACH_M + 5.0, margin_m=float(rng.uniform(45.0, 80.0))
+    )
     path = replace(world.path, ride=_ride(rng, world))
     rig = _Rig(_lidar(rng), path, _mount(rng))
     units = passers(rng, world.layout, path.ride)
@@ -99,20 +107,19 @@ def _ride(rng: np.random.Generator, world: StreetWorld) -> Ride:
     ride = world.path.ride
     if rng.random() < 0.15:
         return replace(ride, speed_mps=0.0)
-    if world.kind != 'street' or abs(ride.offset_m) >= 4.0:
+    if world.kind != 'road' and (world.kind != 'street' or abs(ride.offset_m) >= 4.0):
         return ride
-    fast = rng.random() < 0.2
+    fast = rng.random() < (0.6 if world.kind == 'road' else 0.1)
     return replace(ride, speed_mps=float(rng.uniform(*((14.0, 28.0) if fast else (2.0, 14.0)))))
 
 
 def _lidar(rng: np.random.Generator) -> SpinningLidar:
     """A random usual device with 24,000 to 131,000 rays."""
     model = str(rng.choice(list(_MODELS), p=list(_MODELS.values())))
-    if model == 'rosette':
-        return rosette(rng)
-    if model == 'raster':
-        return raster(rng)
+    if model in _AHEAD:
+        return _AHEAD[model](rng)
     lidar = random_lidar(rng, model=model)
+    lidar = replace(lidar, reach_m=lidar.reach_m * float(rng.uniform(*_REACH_FACTOR)))
     rays = np.exp(rng.uniform(*np.log(_RAYS)))
     return replace(lidar, columns=min(lidar.columns, int(rays / len(lidar.elevation_deg))))
 

@@ -159,7 +159,7 @@ def _vehicles(rng: np.random.Generator, layout: Layout, ride: Ride) -> list[Unit
     """Before and behind the sensor at its own speed, others that pass it."""
     units: list[Unit] = []
     used: list[tuple[float, float]] = []
-    for _ in range(int(rng.integers(0, 6)) if layout.lanes else 0):
+    for _ in range(int(rng.integers(0, 4 + len(layout.lanes))) if layout.lanes else 0):
         lane = float(rng.choice(layout.lanes))
         same = abs(lane - ride.offset_m) < 2.4
         ahead = _ahead(rng, 9.0, 40.0) if same else float(rng.uniform(-35.0, 45.0))
@@ -169,7 +169,7 @@ def _vehicles(rng: np.random.Generator, layout: Layout, ride: Ride) -> list[Unit
         kind = 'forklift' if layout.indoor else str(
             rng.choice(['car', 'van', 'lorry', 'bus'], p=[0.66, 0.2, 0.09, 0.05])
         )  # fmt: skip
-        top = 2.5 if layout.indoor else 15.0
+        top = 2.5 if layout.indoor else max(15.0, 1.25 * ride.speed_mps)
         speed = float(rng.uniform(0.15, 1.0)) * top
         if same:
             speed = ride.speed_mps * float(rng.uniform(0.9, 1.1))

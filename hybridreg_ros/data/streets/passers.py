@@ -68,11 +68,11 @@ def _way(
     ahead_m: float | None = None,
 ) -> Accompanying:  # fmt: skip
     offset = clear_offset(rng, layout.walks, ride.offset_m, 1.0)
-    sway = (float(rng.uniform(0.0, 0.15)), float(rng.uniform(2.0, 8.0)), float(rng.uniform(0, 6)))
+    weave = (float(rng.uniform(0.0, 0.15)), float(rng.uniform(2.0, 8.0)), float(rng.uniform(0, 6)))
     sign = 1.0 if rng.random() < 0.5 else -1.0
     ahead = _ahead(rng) if ahead_m is None else ahead_m
     return Accompanying(layout.terrain, offset, ahead, sign * speed_mps, ride.start_m,
-                        ride.speed_mps, _REACH_M, sway)  # fmt: skip
+                        ride.speed_mps, _REACH_M, weave)  # fmt: skip
 
 
 def _walker(rng: np.random.Generator, layout: Layout, way: Accompanying, rigs: list[Rig]) -> Mover:
@@ -94,7 +94,7 @@ def _walking(rng: np.random.Generator, layout: Layout, ride: Ride, rigs: list[Ri
         beside, behind = 0.6 * (k % 2) + rng.normal(0.0, 0.1), 0.9 * (k // 2)
         way = Accompanying(
             lead.terrain, lead.offset_m + beside, lead.ahead_m - behind, lead.speed_mps,
-            ride.start_m, ride.speed_mps, _REACH_M, lead.sway,
+            ride.start_m, ride.speed_mps, _REACH_M, lead.weave,
         )  # fmt: skip
         units.append((_walker(rng, layout, way, rigs),))
     return units
@@ -149,7 +149,7 @@ def _pushing(rng: np.random.Generator, layout: Layout, ride: Ride, rigs: list[Ri
     behind = 1.0 if way.speed_mps > 0.0 else -1.0
     after = Accompanying(
         way.terrain, way.offset_m, way.ahead_m - behind, way.speed_mps, ride.start_m,
-        ride.speed_mps, _REACH_M, way.sway,
+        ride.speed_mps, _REACH_M, way.weave,
     )  # fmt: skip
     thing = vehicles_drive.drive(vehicles.cart(rng), way, speed, layout.terrain.height, 'cart')
     return thing, _walker(rng, layout, after, rigs)

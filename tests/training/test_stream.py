@@ -72,7 +72,7 @@ def _config(**changes):
 
 def _drain(reader):
     """Draw until everything is used up; the names of the pairs."""
-    names = []
+    names: list[str] = []
 
     def draw_on():
         names.extend(reader.draw(number).name for number in itertools.count())
@@ -182,12 +182,13 @@ def test_the_disk_is_bounded(tmp_path, tiny_scenes, monkeypatch):
 
 def test_a_killed_generator_goes_on_with_new_seeds(tmp_path, tiny_scenes, monkeypatch):
     config = _config()
-    whole, made = splits_work.make_samples, iter(range(4))
+    made = iter(range(4))
 
     def killed(kind, seed, **_):
         if next(made) == 3:
             raise KeyboardInterrupt
-        return whole(kind, seed)
+        tiny_scenes.append((kind, seed))
+        return _pairs_of(kind, seed)
 
     with monkeypatch.context() as patch:
         patch.setattr(splits_work, 'make_samples', killed)

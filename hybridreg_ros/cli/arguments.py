@@ -270,6 +270,11 @@ def _evaluate(commands: Commands) -> None:
                    help='hybridreg; no-mask one-attempt lgr lgr-no-mask ransac-N lgr-top-N; '
                         'without a network: fpfh kiss-matcher (need the extra bench)')  # fmt: skip
     p.add_argument('--limit', type=COUNT, metavar='N', help='at most n pairs of each')
+    p.add_argument('--moving', action='store_true',
+                   help='score the mask instead: AUC of moving against static points of labelled '
+                        'recordings (moving/*.label) and generated pairs')  # fmt: skip
+    p.add_argument('--gap-s', type=_number(float, 0.0, 1e3), default=0.5, metavar='S',
+                   help='with --moving: time between scans of a pair (default 0.5)')  # fmt: skip
     p.add_argument('--keep', type=Path, metavar='FILE',
                    help='scores pair by pair; started again with it, goes on')  # fmt: skip
     p.add_argument('--markdown', type=Path, metavar='FILE', help='also write the tables')

@@ -59,6 +59,10 @@ class Task:
 
 def run(args: argparse.Namespace) -> int:
     """Score every pair, print one table."""
+    if args.moving:
+        from hybridreg_ros.cli import cmd_moving
+
+        return cmd_moving.run(args)
     about: dict[str, Any] = {'method': args.method}
     if args.method not in METHODS:
         load_variant(

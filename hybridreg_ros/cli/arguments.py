@@ -97,6 +97,21 @@ def _weights(p: argparse.ArgumentParser) -> None:
     )
 
 
+def _budget(p: argparse.ArgumentParser) -> None:
+    p.add_argument(
+        '--max-points',
+        type=_number(int, 100, 1e9),
+        metavar='N',
+        help='maximum number of points per cloud on the finest level (default: full size)',
+    )
+    p.add_argument(
+        '--max-superpoints',
+        type=_number(int, 8, 1e9),
+        metavar='N',
+        help='maximum number of superpoints per cloud (default: full size)',
+    )
+
+
 def _dask(p: argparse.ArgumentParser) -> None:
     p.add_argument(
         '--workers', type=COUNT, default=1, metavar='N', help='number of processes (default 1)'
@@ -316,7 +331,7 @@ def _generate(commands: Commands) -> None:
     p.add_argument(
         'split',
         help='{room,street}-{match,lomatch}-{rigid,10-30,30-50}, "all" for these twelve (one '
-        'folder each in DIR), or {room,street}-train',
+        'folder each in DIR), or {room,street}-{train,recorded}',
     )
     p.add_argument(
         '--part',
@@ -370,6 +385,7 @@ def _ship(commands: Commands) -> None:
         'data', type=Path, nargs='+', metavar='DATA', help='folders of validation pairs'
     )
     p.add_argument('--out', type=Path, required=True, metavar='FILE', help='weights file to write')
+    _budget(p)
 
 
 def _evaluate(commands: Commands) -> None:
@@ -391,8 +407,8 @@ def _evaluate(commands: Commands) -> None:
         '--method',
         default='hybridreg',
         metavar='NAME',
-        help='hybridreg (default), no-mask, lgr, lgr-no-mask, ransac-N, lgr-top-N; without a '
-        'network: fpfh, kiss-matcher (both need the extra bench)',
+        help='hybridreg (default), no-mask, one-attempt, lgr, lgr-no-mask, ransac-N, lgr-top-N; '
+        'without a network: fpfh, kiss-matcher (both need the extra bench)',
     )
     p.add_argument('--limit', type=COUNT, metavar='N', help='maximum number of pairs per folder')
     p.add_argument(
@@ -402,6 +418,26 @@ def _evaluate(commands: Commands) -> None:
         help='file that keeps the score of every pair; the same command resumes from it',
     )
     p.add_argument('--markdown', type=Path, metavar='FILE', help='also write the tables to FILE')
+    p.add_argument(
+        '--moving',
+        action='store_true',
+        help='score the mask instead: AUC of moving against static points of labelled '
+        'recordings (moving/*.label) and generated pairs',
+    )
+    p.add_argument(
+        '--gap-s',
+        type=_number(float, 0.0, 1e3),
+        default=0.5,
+        metavar='S',
+        help='with --moving: time between the scans of a pair (default 0.5)',
+    )
+    p.add_argument(
+        '--attempts',
+        type=COUNT,
+        metavar='N',
+        help='maximum number of attempts at a pair (default: as the weights say)',
+    )
+    _budget(p)
     _weights(p)
     _dask(p)
 

@@ -5,12 +5,14 @@
 from __future__ import annotations
 
 import datetime
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from hybridreg_ros.cli.common import write_result
+from hybridreg_ros.cli.common import budget_of, write_result
 from hybridreg_ros.cli.many import each
 from hybridreg_ros.core import provenance
+from hybridreg_ros.core.config import to_dict
 from hybridreg_ros.core.errors import FileFormatError
 from hybridreg_ros.core.progress import progress
 from hybridreg_ros.data.loaders.openers import open_pairs
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from hybridreg_ros.data.loaders.posed_frames import PairSource
+    from hybridreg_ros.model.budget import Budget
     from hybridreg_ros.model.register import HybridReg
 
 PAIRS_PER_TASK = 20
@@ -42,20 +45,35 @@ class Task:
         rows: numbers of the pairs.
         weights: checkpoint, None for the packaged one.
         method: one of our variants, or of the baselines.
+        attempts: at most, at a pair; None: as the variant says.
+        budget: by which the voxel is chosen; None: the full size.
     """
 
     folder: Path
     rows: tuple[int, ...]
     weights: Path | None
     method: str = OURS
+    attempts: int | None = None
+    budget: Budget | None = None
 
 
 def run(args: argparse.Namespace) -> int:
     """Score every pair, print one table."""
+    if args.moving:
+        from hybridreg_ros.cli import cmd_moving
+
+        return cmd_moving.run(args)
     about: dict[str, Any] = {'method': args.method}
     if args.method not in METHODS:
-        load_variant(args.method, args.weights)  # what is wrong is said before any scheduling
+        load_variant(
+            args.method, args.weights, args.attempts
+        )  # what is wrong is said before any scheduling
         about['weights'] = 'packaged' if args.weights is None else provenance.sha256(args.weights)
+        budget = budget_of(args)
+        if args.attempts is not None:
+            about['attempts'] = args.attempts
+        if budget is not None:
+            about |= {'budget': to_dict(budget)}
     kept = KeptScores(args.keep, about)
     tasks = [task for folder in args.data for task in _missing(args, folder, kept)]
     done = each(scores_of, tasks, args.workers, args.scheduler)
@@ -105,7 +123,8 @@ def _missing(args: argparse.Namespace, folder: Path, kept: KeptScores) -> Iterat
     ]
     size = 1 if args.workers == 1 and args.scheduler is None else PAIRS_PER_TASK
     for k in range(0, len(rows), size):
-        yield Task(folder, tuple(rows[k : k + size]), args.weights, args.method)
+        chunk = tuple(rows[k : k + size])
+        yield Task(folder, chunk, args.weights, args.method, args.attempts, budget_of(args))
 
 
 def _all(args: argparse.Namespace, folder: Path, kept: KeptScores) -> Iterator[PairScore]:
@@ -123,14 +142,11 @@ def scores_of(task: Task) -> tuple[PairScore, ...]:
     pairs = (source[row] for row in task.rows)
     if task.method in METHODS:
         return evaluate_method(task.method, METHODS[task.method], pairs).scores
-    return evaluate(_model(task.method, task.weights), pairs).scores
+    model = _model(task.method, task.weights, task.attempts)
+    return evaluate(model, pairs, budget=task.budget).scores
 
 
-_LOADED: dict[tuple[str, Path | None], HybridReg] = {}
-
-
-def _model(variant: str, weights: Path | None) -> HybridReg:
+@functools.cache
+def _model(variant: str, weights: Path | None, attempts: int | None) -> HybridReg:
     """Model of this process, loaded once."""
-    if (variant, weights) not in _LOADED:
-        _LOADED[variant, weights] = load_variant(variant, weights)
-    return _LOADED[variant, weights]
+    return load_variant(variant, weights, attempts)

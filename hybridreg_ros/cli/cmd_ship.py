@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from hybridreg_ros.cli.common import write_result
+from hybridreg_ros.cli.common import budget_of, write_result
 from hybridreg_ros.core.errors import ConfigError
 from hybridreg_ros.core.progress import progress
 from hybridreg_ros.data.loaders.openers import open_pairs
@@ -24,7 +24,8 @@ def run(args: argparse.Namespace) -> int:
     pairs = (source[row] for source in sources for row in range(len(source)))
     about = {'calibration_data': [folder.name for folder in args.data]}
     try:
-        report = ship(args.weights, progress(pairs, total, 'ship', 'pair'), args.out, about)
+        shown = progress(pairs, total, 'ship', 'pair')
+        report = ship(args.weights, shown, args.out, about, budget_of(args))
     except ValueError as error:
         raise ConfigError(f'the confidence cannot be fitted to {total} pairs: {error}') from None
     print(to_markdown([report]), end='')

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import argparse
 
+    from hybridreg_ros.model.budget import Budget
+
 
 def write_result(args: argparse.Namespace, result: Any) -> None:
     """Write the result where --json says."""
@@ -16,6 +18,20 @@ def write_result(args: argparse.Namespace, result: Any) -> None:
         from hybridreg_ros.replay.outputs import write_json
 
         write_json(args.json, result)
+
+
+def budget_of(args: argparse.Namespace) -> Budget | None:
+    """What --max-points and --max-superpoints ask for; None when neither is given."""
+    given = {
+        key: value
+        for key in ('max_points', 'max_superpoints')
+        if (value := getattr(args, key)) is not None
+    }
+    if not given:
+        return None
+    from hybridreg_ros.model.budget import Budget
+
+    return Budget(**given)
 
 
 def told(args: argparse.Namespace, text: str, result: Any) -> int:

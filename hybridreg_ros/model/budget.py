@@ -37,6 +37,20 @@ class Budget:
         """
         validate(self)
 
+    def voxel_m(self, *clouds: NDArray[np.float32], smallest_m: float) -> float:
+        """The voxel for clouds that are to be matched with each other, metres.
+
+        Args:
+            clouds: (N, 3) float32 each, metres; rows with NaN or inf are ignored.
+            smallest_m: lower bound, metres; returned when the clouds keep the budget there.
+        """
+        return budget_voxel_size_m(
+            *clouds,
+            smallest_m=smallest_m,
+            max_points=self.max_points,
+            max_superpoints=self.max_superpoints,
+        )
+
 
 def voxel_size_m(
     *clouds: NDArray[np.float32], factor: float = 1.0, budget: Budget | None = None
@@ -52,11 +66,4 @@ def voxel_size_m(
         RegistrationError: no extent, or coordinates that cannot be metres.
     """
     smallest_m = factor * choose_voxel_size_m(*clouds)
-    if budget is None:
-        return smallest_m
-    return budget_voxel_size_m(
-        *clouds,
-        smallest_m=smallest_m,
-        max_points=budget.max_points,
-        max_superpoints=budget.max_superpoints,
-    )
+    return smallest_m if budget is None else budget.voxel_m(*clouds, smallest_m=smallest_m)

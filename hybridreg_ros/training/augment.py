@@ -43,7 +43,7 @@ def augment(pair: PointPair, config: AugmentConfig, rng: Rng) -> PointPair:
     source, target = (_thinned(_damaged(c, config, rng), config, rng) for c in (source, target))
     source, target = (_noisy(c, pair.voxel_size_m, config, rng) for c in (source, target))
     scale = 1.0 + rng.uniform(-config.scale_jitter, config.scale_jitter)
-    R = common_rotation(config, rng)
+    R = common_rotation(config, rng, vertical_axis(pair))
     A = relative_motion(source.points, config, rng)
     C = se3.transform(R, np.zeros(3))
     T = C @ pair.T_target_source @ se3.inverse(A) @ se3.inverse(C)
@@ -73,8 +73,23 @@ def random_rotation(rng: Rng) -> F64:
     )
 
 
-def common_rotation(config: AugmentConfig, rng: Rng) -> F64:
-    """Rotation (3, 3) that both clouds get: any, or about the vertical and tilted, or small."""
+def vertical_axis(pair: PointPair) -> int:
+    """Axis that is the vertical of a levelled sensor: 1 in the optical frame of a camera, else 2.
+
+    In an optical frame (z forward, y down) no point lies behind the sensor.
+    """
+    behind = any(bool((cloud[:, 2] <= 0.0).any()) for cloud in (pair.source, pair.target))
+    return 2 if behind else 1
+
+
+def common_rotation(config: AugmentConfig, rng: Rng, vertical: int = 2) -> F64:
+    """Rotation (3, 3) that both clouds get: any, or about the vertical and tilted, or small.
+
+    Args:
+        config: how much of what.
+        rng: all randomness comes from here.
+        vertical: number of the axis that yaw turns about.
+    """
     if rng.random() < config.any_rotation_share:
         return random_rotation(rng)
     yaw = config.yaw_share > 0.0 and rng.random() < config.yaw_share
@@ -83,10 +98,11 @@ def common_rotation(config: AugmentConfig, rng: Rng) -> F64:
         return se3.so3_exp(rng.normal(0.0, 1.0, 3) * config.common_rotation_rad)
     R: F64 = np.eye(3)
     if yaw:
-        R = se3.so3_exp(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)]))
+        R = se3.so3_exp(rng.uniform(-np.pi, np.pi) * np.eye(3)[vertical])
     if tilt:
         along, angle = rng.uniform(-np.pi, np.pi), np.deg2rad(rng.uniform(0.0, config.tilt_deg))
-        R = se3.so3_exp(angle * np.array([np.cos(along), np.sin(along), 0.0])) @ R
+        level = np.insert([np.cos(along), np.sin(along)], vertical, 0.0)
+        R = se3.so3_exp(angle * level) @ R
     return R
 
 

@@ -6,8 +6,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from hybridreg_ros.core.config import option, validate
 from hybridreg_ros.core.errors import ConfigError
+from hybridreg_ros.model.budget import Budget
 
 
 @dataclass(frozen=True)
@@ -200,6 +203,19 @@ class BudgetConfig:
                 f'{self.fewest_points}'
             )
 
+    def drawn(self, rng: np.random.Generator) -> Budget | None:
+        """A random budget, log-uniform; None when the voxel follows none."""
+        if not self.fewest_points:
+            return None
+        low, high = np.log([self.fewest_points, self.most_points])
+        return Budget(round(float(np.exp(rng.uniform(low, high)))), self.max_superpoints)
+
+    def validating(self) -> Budget | None:
+        """That of the validation pairs; None when the voxel follows none."""
+        if not self.fewest_points:
+            return None
+        return Budget(self.validation_points, self.max_superpoints)
+
 
 @dataclass(frozen=True)
 class TrainConfig:
@@ -256,6 +272,10 @@ class TrainConfig:
     )
     workers: int = option(1, 'number of prefetching processes per trainer', low=0, high=64)
     device: str = option('cpu', 'torch device of the trainer')
+    precision: str = option(
+        'float32', 'of the matrix products of the encoder; bf16 is for GPUs',
+        choices=('float32', 'bf16'),
+    )  # fmt: skip
     validate_every: int = option(600, 'number of steps between validations', low=1)
     validation_pairs: int = option(72, 'number of validation pairs used', low=1)
     checkpoint_minutes: float = option(3.0, 'time between checkpoints', low=0.0)

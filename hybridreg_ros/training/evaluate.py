@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hybridreg_ros.model.budget import Budget
     from hybridreg_ros.model.register import HybridReg
 
     F64 = NDArray[np.float64]
@@ -57,7 +58,10 @@ GATE = 0.9
 
 
 def evaluate(
-    model: HybridReg, pairs: Iterable[PointPair], about: dict[str, Any] | None = None
+    model: HybridReg,
+    pairs: Iterable[PointPair],
+    about: dict[str, Any] | None = None,
+    budget: Budget | None = None,
 ) -> EvalReport:
     """Score a model on pairs.
 
@@ -65,11 +69,12 @@ def evaluate(
         model: with the calibration that its confidence is to be judged by.
         pairs: metres; read one after the other.
         about: noted in the report.
+        budget: the voxel of a pair follows it; None: the full size.
     """
     loss = LossConfig()
     scores = []
     for pair in pairs:
-        sample = prepare(pair, model.config, loss, np.random.default_rng(0))
+        sample = prepare(pair, model.config, loss, np.random.default_rng(0), budget)
         scores.append(pair_score(model, HeldOut.of(sample)))
         _LOG.info('%s: rmse %.3f m', pair.name, scores[-1].rmse_m)
     return EvalReport('hybridreg', tuple(scores), about or {})

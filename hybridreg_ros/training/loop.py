@@ -150,16 +150,17 @@ class Run:
     def step(self, samples: Iterator[Sample], factor: float, log: Log) -> None:
         """One optimiser step."""
         self.network.train()
-        for _ in range(self.config.accumulate):
+        c = self.config
+        for _ in range(c.accumulate):
             began = time.monotonic()
-            sample = to_device(next(samples), self.config.device)
+            sample = to_device(next(samples), c.device)
             waited = time.monotonic() - began
-            terms = pair_losses(self.network, sample, self.config.loss)
-            torch.autograd.backward(terms.total / self.config.accumulate)
+            terms = pair_losses(self.network, sample, c.loss, c.precision)
+            torch.autograd.backward(terms.total / c.accumulate)
             log.add(terms, waited)
         parameters = list(self.network.parameters())
         optim.average_gradients(parameters, self.world)
-        norm = nn.utils.clip_grad_norm_(parameters, self.config.clip or math.inf)
+        norm = nn.utils.clip_grad_norm_(parameters, c.clip or math.inf)
         if bool(torch.isfinite(norm)):
             self.optimizer.step(factor)
         else:

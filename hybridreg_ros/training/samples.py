@@ -28,7 +28,6 @@ from hybridreg_ros.core.nested import mapped
 from hybridreg_ros.data.pair import Label
 from hybridreg_ros.model.geometry.pyramid import Pyramid, build_pyramid, voxel_transform
 from hybridreg_ros.training.augment import augment
-from hybridreg_ros.training.budget import Budget
 from hybridreg_ros.training.labels import PairLabels, Patches, pair_labels
 from hybridreg_ros.training.sources import ShardSource
 from hybridreg_ros.training.stream import PairStream
@@ -39,6 +38,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.data.pair import PointPair
+    from hybridreg_ros.model.budget import Budget
     from hybridreg_ros.model.config import ModelConfig
     from hybridreg_ros.training.config import LossConfig, TrainConfig
 
@@ -85,7 +85,7 @@ def prepare(
     """
     voxel_m = model.voxel_factor * pair.voxel_size_m
     if budget is not None:
-        voxel_m, model = budget.voxel_m(pair, model), budget.caps(model)
+        voxel_m = budget.voxel_m(pair.source, pair.target, smallest_m=voxel_m)
     source = build_pyramid(pair.source, voxel_m, model)
     target = build_pyramid(pair.target, voxel_m, model)
     labels = pair_labels(
@@ -151,7 +151,10 @@ class SampleStream(IterableDataset[Sample]):
         world: int = 1,
     ) -> None:
         self._config = config
-        self._model = dataclasses.replace(model, max_points=config.max_points)
+        thinned = not config.budget.fewest_points
+        self._model = (
+            dataclasses.replace(model, max_points=config.max_points) if thinned else model
+        )
         self._start, self._rank, self._world = start, rank, world
 
     def __iter__(self) -> Iterator[Sample]:
@@ -195,7 +198,7 @@ class SampleStream(IterableDataset[Sample]):
             RegistrationError: a cloud has too few points.
         """
         pair = augment(pair, self._config.augment, rng)
-        budget = Budget.drawn(self._config.budget, rng)
+        budget = self._config.budget.drawn(rng)
         made = prepare(pair, self._model, self._config.loss, rng, budget)
         return dataclasses.replace(made, pair=_without_points(pair))
 

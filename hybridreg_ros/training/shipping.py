@@ -9,6 +9,7 @@ import datetime
 import json
 from typing import TYPE_CHECKING, Any
 
+from hybridreg_ros.core.config import to_dict
 from hybridreg_ros.model.checkpoint import load_checkpoint, save_network
 from hybridreg_ros.model.register import HybridReg
 from hybridreg_ros.training.evaluate import calibrate, evaluate
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from hybridreg_ros.data.pair import PointPair
+    from hybridreg_ros.model.budget import Budget
     from hybridreg_ros.training.report import EvalReport
 
 MACHINE_KEYS = ('data', 'validation', 'out', 'start_weights')
@@ -29,6 +31,7 @@ def ship(
     pairs: Iterable[PointPair],
     out: str | Path,
     about: dict[str, Any] | None = None,
+    budget: Budget | None = None,
 ) -> EvalReport:
     """Fit the confidence to validation pairs and write a weights file for users.
 
@@ -37,6 +40,7 @@ def ship(
         pairs: validation pairs that nothing else is scored on.
         out: file to write, float16.
         about: further provenance, such as a description of the data.
+        budget: at which the pairs are registered; None: the full size.
 
     Returns:
         Scores of the pairs, one attempt each, with the fitted confidence (without its fading for
@@ -50,7 +54,7 @@ def ship(
     network = checkpoint.network
     network.config = dataclasses.replace(network.config, estimator='verified')
     single = dataclasses.replace(network.config, attempts=1)
-    report = evaluate(HybridReg(single, network), pairs)
+    report = evaluate(HybridReg(single, network), pairs, budget=budget)
     calibration = calibrate(report.scores)
     save_network(
         out,
@@ -58,6 +62,7 @@ def ship(
         {
             **_provenance(dict(checkpoint.provenance)),
             'calibration_pairs': len(report.scores),
+            'calibration_budget': None if budget is None else to_dict(budget),
             'date': datetime.datetime.now(datetime.UTC).date().isoformat(),
             'licence': 'Apache-2.0',
             **(about or {}),

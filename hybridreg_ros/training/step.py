@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+import dataclasses
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.model.config import ModelConfig
+    from hybridreg_ros.model.geometry.pyramid import Pyramid
     from hybridreg_ros.model.network.network import Encoding, HybridRegNet, SuperpointOutput
     from hybridreg_ros.training.config import LossConfig
     from hybridreg_ros.training.labels import PairLabels
@@ -50,9 +52,19 @@ class LossTerms(NamedTuple):
     false_match: Tensor
 
 
-def pair_losses(network: HybridRegNet, sample: Sample, config: LossConfig) -> LossTerms:
-    """All losses of one sample; terms with weight 0 are not computed."""
-    source, target = network.encode(sample.source), network.encode(sample.target)
+def pair_losses(
+    network: HybridRegNet, sample: Sample, config: LossConfig, precision: str = 'float32'
+) -> LossTerms:
+    """All losses of one sample; terms with weight 0 are not computed.
+
+    Args:
+        network: in training mode.
+        sample: on the device of the network.
+        config: which terms, and their weights.
+        precision: of the matrix products of the encoder, 'float32' or 'bf16'; all that follows is
+            float32.
+    """
+    source, target = (_encoded(network, p, precision) for p in (sample.source, sample.target))
     coarse_out = network.correlate(source, target)
     labels = sample.labels
     zero = coarse_out.source_features.sum() * 0.0
@@ -83,6 +95,21 @@ def pair_losses(network: HybridRegNet, sample: Sample, config: LossConfig) -> Lo
         + config.false_match_weight * false_match
     )
     return LossTerms(total, coarse, fine, descriptor, mask, false_match)
+
+
+def _encoded(network: HybridRegNet, pyramid: Pyramid, precision: str) -> Encoding:
+    """The encoding of a cloud, its features in float32."""
+    if precision == 'float32':
+        return network.encode(pyramid)
+    device = next(network.parameters()).device.type
+    with torch.autocast(device, torch.bfloat16):
+        encoding = network.encode(pyramid)
+    features: dict[str, Any] = {
+        f.name: value.float()
+        for f in dataclasses.fields(encoding)
+        if isinstance(value := getattr(encoding, f.name), Tensor) and value.is_floating_point()
+    }
+    return dataclasses.replace(encoding, **features)
 
 
 def as_tensor(value: object) -> Tensor:

@@ -22,7 +22,6 @@ from hybridreg_ros.model.encoded import EncodedCloud
 from hybridreg_ros.model.network.superpoints import select_pairs
 from hybridreg_ros.model.pose.verify import view_of
 from hybridreg_ros.model.register import HybridReg
-from hybridreg_ros.training.budget import Budget
 from hybridreg_ros.training.report import (
     INDOOR_THRESHOLD_M,
     INDOOR_VOXEL_M,
@@ -98,7 +97,7 @@ class ValidationSet:
             c = self._config
             pairs = held_out_pairs(c.validation, c.validation_pairs)[self._rank :: self._world]
             rng = np.random.default_rng(0)
-            budget = Budget.validating(c.budget)
+            budget = c.budget.validating()
             self._held_out = [
                 HeldOut.of(prepare(p, self._model, c.loss, rng, budget)) for p in pairs
             ]
@@ -160,7 +159,14 @@ def pair_score(model: HybridReg, held: HeldOut, device: str = 'cpu') -> PairScor
             for pyramid, view in zip((sample.source, sample.target), held.views, strict=True)
         )
     first = model.match(source, target)
-    result = model.retry(first, (source, target), sample.pair.source, sample.pair.target)
+    full_m = model.config.voxel_factor * sample.pair.voxel_size_m
+    result = model.retry(
+        first,
+        (source, target),
+        sample.pair.source,
+        sample.pair.target,
+        finer_m=full_m if full_m < sample.source.voxel_size_m else None,
+    )
     seconds = time.perf_counter() - began
     with torch.inference_mode():
         coarse = model.net.correlate(source.encoding, target.encoding)

@@ -31,8 +31,15 @@ VARIANTS: dict[str, dict[str, Any]] = {
 """What each variant changes in the `ModelConfig` of the weights."""
 
 
-def load_variant(name: str, weights: str | Path | None = None) -> HybridReg:
+def load_variant(
+    name: str, weights: str | Path | None = None, attempts: int | None = None
+) -> HybridReg:
     """The packaged weights, or those of a file, in one of the `VARIANTS`.
+
+    Args:
+        name: of the variant.
+        weights: checkpoint; None for the packaged one.
+        attempts: at most, at a pair; None: as the variant says.
 
     Raises:
         ConfigError: no such variant.
@@ -40,7 +47,8 @@ def load_variant(name: str, weights: str | Path | None = None) -> HybridReg:
     """
     if name not in VARIANTS:
         raise ConfigError(f'method: expected one of {", ".join(VARIANTS)}, found {name}')
+    changes = VARIANTS[name] | ({} if attempts is None else {'attempts': attempts})
     model = HybridReg.from_pretrained(weights)
-    model.config = dataclasses.replace(model.config, **VARIANTS[name])
+    model.config = dataclasses.replace(model.config, **changes)
     model.net.config = model.config
     return model

@@ -9,7 +9,12 @@ import pytest
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.data.pair import PointPair
-from hybridreg_ros.training.augment import augment, random_rotation
+from hybridreg_ros.training.augment import (
+    augment,
+    common_rotation,
+    random_rotation,
+    vertical_axis,
+)
 from hybridreg_ros.training.config import AugmentConfig
 
 STILL = {'any_rotation_share': 0.0, 'common_rotation_rad': 0.0}
@@ -117,3 +122,48 @@ def test_random_rotations_are_proper_and_spread():
     )
     assert (np.linalg.det(R) > 0).all()
     assert np.abs(R.mean(axis=0)).max() < 0.12
+
+
+@pytest.mark.parametrize('vertical', [1, 2])
+def test_yaw_keeps_the_vertical_and_covers_all_angles(vertical):
+    config = AugmentConfig(any_rotation_share=0.0, yaw_share=1.0)
+    up, ahead = np.eye(3)[vertical], np.eye(3)[0]
+    angles = []
+    for seed in range(200):
+        R = common_rotation(config, np.random.default_rng(seed), vertical)
+        np.testing.assert_allclose(R @ up, up, atol=1e-12)
+        angles.append(np.arctan2(np.cross(ahead, R @ ahead) @ up, (R @ ahead) @ ahead))
+    counts, _ = np.histogram(angles, bins=4, range=(-np.pi, np.pi))
+    assert counts.min() > 30  # expected 50
+
+
+@pytest.mark.parametrize('vertical', [1, 2])
+@pytest.mark.parametrize('yaw_share', [0.0, 1.0])
+def test_tilt_is_bounded_and_reaches_its_limit(vertical, yaw_share):
+    config = AugmentConfig(any_rotation_share=0.0, tilt_share=1.0, yaw_share=yaw_share)
+    tilts = []
+    for seed in range(100):
+        R = common_rotation(config, np.random.default_rng(seed), vertical)
+        assert se3.is_rigid(se3.transform(R, np.zeros(3)))
+        tilts.append(np.rad2deg(np.arccos(min(R[vertical, vertical], 1.0))))
+    assert 20.0 < max(tilts) <= config.tilt_deg + 1e-9
+    assert 8.0 < np.median(tilts) < 17.0  # expected 12.5
+
+
+def test_yaw_and_tilt_shares_are_kept_to():
+    config = AugmentConfig(
+        any_rotation_share=0.0, yaw_share=0.7, tilt_share=0.4, common_rotation_rad=0.0
+    )
+    drawn = [common_rotation(config, np.random.default_rng(seed)) for seed in range(500)]
+    untilted = np.mean([R[2, 2] > 1.0 - 1e-12 for R in drawn])
+    untouched = np.mean([np.array_equal(R, np.eye(3)) for R in drawn])
+    assert untilted == pytest.approx(0.6, abs=0.07)
+    assert untouched == pytest.approx(0.3 * 0.6, abs=0.06)
+
+
+def test_an_optical_frame_is_known_by_having_nothing_behind_it():
+    camera = pair_of()  # everything lies at z from 2 to 6 in the source
+    camera = dataclasses.replace(camera, target=camera.source)
+    assert vertical_axis(camera) == 1
+    below = camera.source - np.array([0.0, 0.0, 5.0], np.float32)
+    assert vertical_axis(dataclasses.replace(camera, target=below)) == 2

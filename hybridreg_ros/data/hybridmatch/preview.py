@@ -20,7 +20,7 @@ from hybridreg_ros.data.hybridmatch.preview_raster import (
     occupied,
     paint,
 )
-from hybridreg_ros.data.hybridmatch.room_pairs import LEVELS, LOMATCH, MATCH, TRAIN
+from hybridreg_ros.data.hybridmatch.room_pairs import LEVELS, LOMATCH, MATCH, RECORDED, TRAIN
 from hybridreg_ros.data.hybridmatch.shards import open_split
 from hybridreg_ros.data.hybridmatch.stage import MIN_DISPLACEMENT_M
 
@@ -152,6 +152,8 @@ def draw_distributions(summary: SplitSummary, path: Path) -> None:
 def limits_of(split: str) -> dict[str, tuple[float, ...]]:
     """Limits that the paper sets on the quantities of a split."""
     _, kind, *level = split.split('-', 2)
+    if kind == RECORDED:
+        return {}
     if kind == TRAIN:
         return {'displacement_m': (MIN_DISPLACEMENT_M,)}
     limits: dict[str, tuple[float, ...]] = {'overlap': MATCH[:1] if kind == 'match' else LOMATCH}

@@ -27,7 +27,8 @@ LEVELS = {'rigid': (0.0, 1.0), '10-30': (0.1, 0.3), '30-50': (0.3, 0.5)}
 CROWD = (0.3, 0.5)
 """Share of points on what could move, in every pair of the twelve splits: in a rigid pair nothing
 of it moves, in a 10-30 pair a part, in a 30-50 pair all."""
-TRAIN = 'train'
+TRAIN, RECORDED = 'train', 'recorded'
+"""Mixtures to train on: the cells of the splits, and pairs as recordings show them."""
 PAIRS_A_SCENE = 6
 SPLITS = tuple(f'{s}-{k}-{level}' for s in SCENES for k in KINDS for level in LEVELS)
 
@@ -55,19 +56,20 @@ def parse_split(split: str) -> tuple[str, str, str]:
     if scene not in SCENES or kind not in KINDS or level not in LEVELS:
         raise ConfigError(
             f'split: expected {{room,street}}-{{match,lomatch}}-{{rigid,10-30,30-50}} '
-            f'or {{room,street}}-train, found {split!r}'
+            f'or {{room,street}}-{{train,recorded}}, found {split!r}'
         )
     return scene, kind, level
 
 
 def scene_of(split: str) -> str:
-    """Scene of a split name, the training mixtures `room-train` and `street-train` included.
+    """Scene of a split name, mixtures such as `room-train` and `street-recorded` included.
 
     Raises:
         ConfigError: the name is neither one of the twelve splits nor a mixture.
     """
     scene, _, rest = split.partition('-')
-    return scene if rest == TRAIN and scene in SCENES else parse_split(split)[0]
+    known = rest in (TRAIN, RECORDED) and scene in SCENES
+    return scene if known else parse_split(split)[0]
 
 
 TRAIN_CELLS = (
@@ -88,10 +90,10 @@ def make_samples(
     """Pairs of one random scene that belong to a split, with what the generator knows of them.
 
     Args:
-        split: one of the twelve split names, or `room-train` for the training mixture.
+        split: one of the twelve split names, or a mixture such as `room-train`.
         seed: any non-negative integer.
-        count: most pairs from the scene; the training mixture has its own.
-        still: take every target without motion, too.
+        count: most pairs from the scene; the mixtures for training have their own.
+        still: take every target without motion, too; pairs as recorded have none.
 
     Returns:
         The samples; an empty list when the scene cannot give any.
@@ -99,7 +101,10 @@ def make_samples(
     Raises:
         ConfigError: the split name is unknown.
     """
-    if scene_of(split) == 'street':
+    scene = scene_of(split)
+    if split == f'{scene}-{RECORDED}':
+        return _recorded_samples(scene, seed)
+    if scene == 'street':
         return _street_samples(split, seed, count, still=still)
     if split == f'room-{TRAIN}':
         return _training_samples(seed, still=still)
@@ -134,6 +139,14 @@ def _training_samples(seed: int, *, still: bool) -> list[Sample]:
             sample = _named(name, seed, number, world, cell, views, still=still)
             samples += [] if sample is None else [sample]
     return samples
+
+
+def _recorded_samples(scene: str, seed: int) -> list[Sample]:
+    """All pairs of one random walk or drive."""
+    from hybridreg_ros.data.hybridmatch.recorded_rooms import recorded_room
+    from hybridreg_ros.data.hybridmatch.recorded_streets import recorded_street
+
+    return recorded_room(seed) if scene == 'room' else recorded_street(seed)
 
 
 def _street_samples(split: str, seed: int, count: int, *, still: bool) -> list[Sample]:

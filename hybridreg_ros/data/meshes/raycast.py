@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from hybridreg_ros.data.meshes.scene import Mesh
+    from hybridreg_ros.data.meshes.scene import Mesh, Mover
 
     F32 = NDArray[np.float32]
 
@@ -117,6 +117,14 @@ class Caster:
         # At a time that is common to all, nothing is elsewhere than in this scene.
         same = times[0] if len(set(times)) == 1 else None
         twin._moving = {t: posed for t, posed in self._moving.items() if t == same}
+        return twin
+
+    def peopled(self, movers: tuple[Mover, ...]) -> Caster:
+        """The same static part with other movers."""
+        twin = copy(self)
+        twin.scene = Scene(self.scene.static, movers)
+        twin._labels = np.array([0, *(int(m.label) for m in movers)], np.uint8)
+        twin._moving = {}
         return twin
 
     def cast(self, time_s: float, origins: F32, directions: F32) -> Hits:

@@ -242,11 +242,12 @@ def make_lidar(model: str, *, columns: int | None = None, seed: int = 0) -> Spin
     )  # fmt: skip
 
 
-def random_lidar(rng: np.random.Generator, *, columns: int | None = None) -> SpinningLidar:
-    """A random usual device with its own small errors."""
-    lidar = make_lidar(
-        str(rng.choice(list(TABLES))), columns=columns, seed=int(rng.integers(2**31))
-    )
+def random_lidar(
+    rng: np.random.Generator, *, columns: int | None = None, model: str | None = None
+) -> SpinningLidar:
+    """A usual device with its own small errors; a random one when no model is named."""
+    model = str(rng.choice(list(TABLES))) if model is None else model
+    lidar = make_lidar(model, columns=columns, seed=int(rng.integers(2**31)))
     crooked = rng.normal(0.0, 0.03, len(lidar.elevation_deg))
     return replace(
         lidar,

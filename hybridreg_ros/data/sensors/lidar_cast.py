@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 _MOST_MOVED_M = 0.8
 """How far something may get during half a turn, metres."""
+_EVERY_COLUMN = 64
 
 
 def cast_turn(
@@ -96,7 +97,8 @@ def _in_view(balls: F64, o: NDArray[np.float32], d: F32) -> NDArray[np.int64]:
     away = np.hypot(to[:, 0], to[:, 1])
     half = np.arcsin(np.clip(balls[:, 3] / np.maximum(away, 1e-6), 0.0, 1.0))
     centre = np.arctan2(ray[middle, 1], ray[middle, 0])
-    flat = d[:, [0, -1], :2].reshape(-1, 2)
+    columns = np.append(np.arange(0, d.shape[1], _EVERY_COLUMN), d.shape[1] - 1)
+    flat = d[:, columns, :2].reshape(-1, 2)
     spread = np.abs(_wrapped(np.arctan2(flat[:, 1], flat[:, 0]) - centre)).max()
     off = np.abs(_wrapped(np.arctan2(to[:, 1], to[:, 0]) - centre))
     seen: NDArray[np.int64] = np.nonzero((off < half + spread + 0.02) | (away <= balls[:, 3]))[0]

@@ -70,7 +70,7 @@ def centre_line(rng: np.random.Generator, length_m: float, bend: float) -> Track
     return Track(points)
 
 
-class _Builder:
+class Builder:
     """Places pieces along a centre line."""
 
     def __init__(self, rng: np.random.Generator, terrain: Terrain) -> None:
@@ -108,6 +108,11 @@ class _Builder:
             if self.rng.random() < keep:
                 self.put(make(self.rng), s, d + self.rng.normal(0.0, jitter), yaw)
             s += self.rng.uniform(*every)
+
+    def line(self, mesh: Mesh, every_m: float, d: float) -> None:
+        """The same piece again and again along the centre line."""
+        for s in np.arange(0.0, self.terrain.centre.length_m, every_m):
+            self.put(mesh, float(s), d)
 
     def fronts(self, d: float, side: float, *, gap: float = 0.3) -> None:
         """Buildings side by side that face the centre line from an offset d on a side."""
@@ -170,7 +175,7 @@ def street(rng: np.random.Generator, length_m: float) -> Layout:
     side = [(kerb, -slope * kerb), (kerb + 0.04, step), (end, step + 0.02), (end + 30, 0.4)]
     profile = [(-d, z) for d, z in reversed(side)] + [(0.0, 0.0)] + side
     line = centre_line(rng, length_m, rng.uniform(0.02, 0.12))
-    b = _Builder(rng, make_terrain(rng, line, profile))
+    b = Builder(rng, make_terrain(rng, line, profile))
     for sign in (1.0, -1.0):
         if park:
             b.cars(sign * (half + 0.5 * park), keep=rng.uniform(0.2, 0.9), across=False)
@@ -180,10 +185,10 @@ def street(rng: np.random.Generator, length_m: float) -> Layout:
             b.row(tree, (6.0, 18.0), sign * (kerb + 0.6), keep=0.8)
         if garden:
             b.border(end + 0.2, sign)
-            b.scatter(bush, 0.12, _side(sign, end + 0.6, end + garden))
-            b.scatter(tree, 0.04, _side(sign, end + 1.0, end + garden))
+            b.scatter(bush, 0.12, on_side(sign, end + 0.6, end + garden))
+            b.scatter(tree, 0.04, on_side(sign, end + 1.0, end + garden))
         b.fronts(end + garden + 0.1, sign, gap=rng.uniform(0.05, 0.35))
-        b.scatter(tree, 0.05, _side(sign, end + garden + 12, end + garden + 25))
+        b.scatter(tree, 0.05, on_side(sign, end + garden + 12, end + garden + 25))
     walks = ((kerb + 0.9, end - 0.3), (-end + 0.3, -kerb - 0.9))
     ego = (-0.5 * half - 0.3, -0.5 * half + 0.3)
     if rng.random() < 0.25:
@@ -192,7 +197,8 @@ def street(rng: np.random.Generator, length_m: float) -> Layout:
     return Layout(b.terrain, b.made, ego, lanes, walks, walks)
 
 
-def _side(sign: float, near: float, far: float) -> tuple[float, float]:
+def on_side(sign: float, near: float, far: float) -> tuple[float, float]:
+    """Lowest and highest offset of a band on the left (sign 1) or right (-1) side."""
     return (near, far) if sign > 0 else (-far, -near)
 
 
@@ -201,7 +207,7 @@ def car_park(rng: np.random.Generator, length_m: float) -> Layout:
     aisle, deep = rng.uniform(2.8, 3.6), 5.2
     profile = [(-60, 0.6), (-22, 0.1), (0, 0), (22, 0.1), (60, 0.6)]
     line = centre_line(rng, length_m, rng.uniform(0.0, 0.03))
-    b = _Builder(rng, make_terrain(rng, line, profile, wild=0.5))
+    b = Builder(rng, make_terrain(rng, line, profile, wild=0.5))
     for sign in (1.0, -1.0):
         keep = rng.uniform(0.3, 0.9)
         b.cars(sign * (aisle + 0.5 * deep), keep=keep, across=True)
@@ -211,10 +217,10 @@ def car_park(rng: np.random.Generator, length_m: float) -> Layout:
         b.row(tree, (7.0, 25.0), sign * (aisle + deep + 0.4), keep=0.5)
         edge = row + deep + rng.uniform(1.0, 8.0)
         b.border(edge, sign)
-        b.scatter(bush, 0.15, _side(sign, edge, edge + 2.0))
-        b.scatter(tree, 0.1, _side(sign, edge, edge + 12.0))
+        b.scatter(bush, 0.15, on_side(sign, edge, edge + 2.0))
+        b.scatter(tree, 0.1, on_side(sign, edge, edge + 12.0))
         b.fronts(edge + 4.0 + rng.exponential(6.0), sign, gap=0.5)
-        b.scatter(street_thing, 0.03, _side(sign, aisle + deep, row))
+        b.scatter(street_thing, 0.03, on_side(sign, aisle + deep, row))
     walks = ((0.9, aisle - 0.3), (-aisle + 0.3, -0.9))
     return Layout(b.terrain, b.made, (-0.5, 0.5), (-1.2, 1.6), walks, walks)
 
@@ -225,11 +231,11 @@ def park(rng: np.random.Generator, length_m: float) -> Layout:
     profile = [(-60, rng.uniform(-1, 3)), (-9, 0.1), (-path, 0.03), (path, 0.03), (9, 0.1),
                (60, rng.uniform(-1, 3))]  # fmt: skip
     line = centre_line(rng, length_m, rng.uniform(0.05, 0.2))
-    b = _Builder(rng, make_terrain(rng, line, profile, wild=rng.uniform(1.0, 2.2)))
+    b = Builder(rng, make_terrain(rng, line, profile, wild=rng.uniform(1.0, 2.2)))
     for sign in (1.0, -1.0):
-        b.scatter(tree, rng.uniform(0.15, 0.5), _side(sign, path + 3.5, 32.0))
-        b.scatter(bush, rng.uniform(0.15, 0.5), _side(sign, path + 3.5, 30.0))
-        b.scatter(rock, 0.06, _side(sign, path + 3.0, 25.0))
+        b.scatter(tree, rng.uniform(0.15, 0.5), on_side(sign, path + 3.5, 32.0))
+        b.scatter(bush, rng.uniform(0.15, 0.5), on_side(sign, path + 3.5, 30.0))
+        b.scatter(rock, 0.06, on_side(sign, path + 3.0, 25.0))
         b.row(street_thing, (10.0, 40.0), sign * (path + 0.7), keep=0.7)
         b.row(pole, (15.0, 40.0), sign * (path + 0.4), keep=0.6)
         if rng.random() < 0.4:
@@ -244,7 +250,7 @@ def warehouse(rng: np.random.Generator, length_m: float) -> Layout:
     """Aisles between pallet racks under a roof, with columns, pallets and machines."""
     aisle, deep = rng.uniform(1.7, 3.2), 1.2
     line = centre_line(rng, length_m, 0.0)
-    b = _Builder(rng, make_terrain(rng, line, [(-60, 0), (60, 0)], wild=0.15))
+    b = Builder(rng, make_terrain(rng, line, [(-60, 0), (60, 0)], wild=0.15))
     outer = float(rng.uniform(2.5, 5.0))
     rows = np.cumsum([aisle + 0.5 * deep, deep + rng.uniform(0.1, 0.6), deep + outer])
     for sign in (1.0, -1.0):
@@ -279,13 +285,13 @@ def square(rng: np.random.Generator, length_m: float) -> Layout:
     wide = rng.uniform(7.0, 20.0)
     profile = [(-60, 0.2), (-wide, 0.05), (0, 0), (wide, 0.05), (60, 0.2)]
     line = centre_line(rng, length_m, rng.uniform(0.02, 0.15))
-    b = _Builder(rng, make_terrain(rng, line, profile, wild=0.6))
+    b = Builder(rng, make_terrain(rng, line, profile, wild=0.6))
     for sign in (1.0, -1.0):
-        b.scatter(street_thing, rng.uniform(0.1, 0.3), _side(sign, 5.5, wide))
-        b.scatter(tree, rng.uniform(0.03, 0.12), _side(sign, 6.0, wide))
-        b.scatter(pole, 0.08, _side(sign, 5.5, wide))
-        b.scatter(bush, 0.05, _side(sign, 6.0, wide))
-        b.scatter(rock, 0.03, _side(sign, 6.0, wide))
+        b.scatter(street_thing, rng.uniform(0.1, 0.3), on_side(sign, 5.5, wide))
+        b.scatter(tree, rng.uniform(0.03, 0.12), on_side(sign, 6.0, wide))
+        b.scatter(pole, 0.08, on_side(sign, 5.5, wide))
+        b.scatter(bush, 0.05, on_side(sign, 6.0, wide))
+        b.scatter(rock, 0.03, on_side(sign, 6.0, wide))
         b.fronts(wide + rng.uniform(0.5, 4.0), sign, gap=rng.uniform(0.1, 0.5))
     walks = ((0.8, 5.0), (-5.0, -0.8))
     return Layout(b.terrain, b.made, (-0.5, 0.5), (), walks, walks)

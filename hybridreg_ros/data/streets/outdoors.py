@@ -13,6 +13,7 @@ from hybridreg_ros.core.errors import ConfigError
 from hybridreg_ros.core.se3 import so3_exp, transform
 from hybridreg_ros.data.meshes.scene import Scene
 from hybridreg_ros.data.streets.layout import LAYOUTS
+from hybridreg_ros.data.streets.road import road
 from hybridreg_ros.data.streets.traffic import Ride, populate, random_crowd
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     F64 = NDArray[np.float64]
 
 KINDS = tuple(LAYOUTS)
+_ALL = {**LAYOUTS, 'road': road}
 _KIND_SHARE = (0.4, 0.18, 0.18, 0.1, 0.14)
 _CROWDED_SHARE = (0.22, 0.2, 0.24, 0.12, 0.22)
 
@@ -99,33 +101,34 @@ def make_street(
     moving_share_target: tuple[float, float] = (0.1, 0.3),
     *,
     travel_m: float = 40.0,
+    margin_m: float = 45.0,
 ) -> StreetWorld:
     """Build a random outdoor scene (or a warehouse) and a way through it.
 
     Args:
         rng: source of everything random.
-        kind: one of `KINDS`, or None for a random one.
+        kind: one of `KINDS`, or `road`, or None for a random one of `KINDS`.
         moving_share_target: lowest and highest share of moving points that a scan should have;
             the number of movers follows it, the share itself must be measured. (0, 0) = none.
         travel_m: distance that the sensor will travel from time 0.
+        margin_m: length of the street before and behind that way.
 
     Raises:
         ConfigError: the kind is unknown, or the share or the distance is out of range.
     """
     low, high = moving_share_target
     kind = kind or str(rng.choice(KINDS, p=_KIND_SHARE if low < 0.25 else _CROWDED_SHARE))
-    if kind not in LAYOUTS:
-        raise ConfigError(f'kind: expected one of {", ".join(KINDS)}, found {kind!r}')
+    if kind not in _ALL:
+        raise ConfigError(f'kind: expected one of {", ".join(_ALL)}, found {kind!r}')
     if not 0.0 <= low <= high <= 1.0:
         raise ConfigError(
             f'moving_share_target: expected 0 <= low <= high <= 1, found {moving_share_target}'
         )
     if not 0.0 <= travel_m <= 5000.0:
         raise ConfigError(f'travel_m: expected 0 to 5000, found {travel_m}')
-    margin = 45.0
-    layout = LAYOUTS[kind](rng, travel_m + 2.0 * margin)
+    layout = _ALL[kind](rng, travel_m + 2.0 * margin_m)
     offset = float(rng.uniform(*layout.ego))
-    fast = kind == 'street' and abs(offset) < 4.0
+    fast = kind == 'road' or (kind == 'street' and abs(offset) < 4.0)
     if low >= 0.25 and (fast or rng.random() < 0.5):
         # So many moving points need people close by: a fair, a demonstration, a school run.
         near = ((offset + 1.0, offset + 4.0), (offset - 4.0, offset - 1.0))
@@ -133,7 +136,7 @@ def make_street(
         layout = replace(layout, walks=near, stands=near, lanes=keep)
         fast = False
     speed = float(rng.uniform(3.0, 12.0)) if fast else float(rng.uniform(0.5, 2.2))
-    ride = Ride(margin, speed, offset)
+    ride = Ride(margin_m, speed, offset)
     spread = travel_m if travel_m > 60.0 else 0.0
     movers = populate(rng, layout, ride, random_crowd(rng, low, high), spread_m=spread)
     static, loss, plane = layout.static.result()

@@ -150,8 +150,9 @@ def populate(
     return movers
 
 
-def _clear(rng: np.random.Generator, bands: tuple[tuple[float, float], ...], ego: float,
-           gap: float) -> float:  # fmt: skip
+def clear_offset(
+    rng: np.random.Generator, bands: tuple[tuple[float, float], ...], ego: float, gap: float
+) -> float:
     """A random offset in one of some bands, at least `gap` away from the sensor's way."""
     offset = 0.0
     for _ in range(20):
@@ -167,7 +168,7 @@ def _free_spot(
 ) -> tuple[float, float]:
     reach = (0.0, spread_m) if spread_m else (-near_m, near_m)
     s = ride.start_m + rng.uniform(*reach)
-    return float(np.clip(s, 0.0, layout.terrain.centre.length_m)), _clear(
+    return float(np.clip(s, 0.0, layout.terrain.centre.length_m)), clear_offset(
         rng, layout.stands, ride.offset_m, 1.1
     )
 
@@ -175,7 +176,7 @@ def _free_spot(
 def _way(
     rng: np.random.Generator, layout: Layout, ride: Ride, near_m: float, speed: float
 ) -> Accompanying:
-    offset = _clear(rng, layout.walks, ride.offset_m, 0.95)
+    offset = clear_offset(rng, layout.walks, ride.offset_m, 0.95)
     sign = 1.0 if rng.random() < 0.5 else -1.0
     weave = (float(rng.uniform(0.0, 0.12)), float(rng.uniform(2.0, 8.0)), float(rng.uniform(0, 6)))
     return Accompanying(layout.terrain, offset, float(rng.uniform(-near_m, near_m)), sign * speed,

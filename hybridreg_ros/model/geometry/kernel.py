@@ -198,7 +198,7 @@ def aggregate(x: Tensor, operator: KernelOperator) -> Tensor:
         (M, K * C) float32, ready for one matrix product with the (K * C, C_out) weights.
     """
     if x.device.type == 'cpu':
-        gathered = _Aggregate.apply(x, operator)  # type: ignore[no-untyped-call]
+        gathered = _Aggregate.apply(x.float(), operator)  # type: ignore[no-untyped-call]
     else:
         matrix = torch.sparse_coo_tensor(
             torch.stack([operator.rows, operator.columns]),
@@ -206,7 +206,8 @@ def aggregate(x: Tensor, operator: KernelOperator) -> Tensor:
             (operator.outputs * operator.kernel_points, operator.inputs),
             is_coalesced=True,
         )
-        gathered = matrix @ x
+        with torch.autocast(x.device.type, enabled=False):
+            gathered = matrix @ x.float()
     return gathered.view(operator.outputs, -1)  # type: ignore[no-any-return]
 
 

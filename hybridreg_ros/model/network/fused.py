@@ -122,7 +122,7 @@ def group_norm_act(x: Tensor, gain: Tensor, bias: Tensor, groups: int, slope: fl
         slope: of the negative side; 1 leaves the values as they are.
     """
     if x.device.type == 'cpu':
-        return _Norm.apply(x, gain, bias, groups, slope)  # type: ignore[no-any-return,no-untyped-call]
+        return _Norm.apply(x.float(), gain, bias, groups, slope)  # type: ignore[no-any-return,no-untyped-call]
     y = functional.group_norm(x.t().unsqueeze(0), groups, gain, bias, _EPSILON)
     return functional.leaky_relu(y.squeeze(0).t(), slope)
 
@@ -178,7 +178,7 @@ def neighbour_max(x: Tensor, near: Tensor) -> Tensor:
         (M, C).
     """
     if x.device.type == 'cpu':
-        return _NeighbourMax.apply(x, near)  # type: ignore[no-any-return,no-untyped-call]
+        return _NeighbourMax.apply(x.float(), near)  # type: ignore[no-any-return,no-untyped-call]
     padded = torch.cat([x, x.new_full((1, x.shape[1]), -torch.inf)])
     best = padded[near.long()].amax(dim=1)
     return torch.where(torch.isinf(best), torch.zeros_like(best), best)
@@ -247,7 +247,7 @@ def lookup_scores(table: Tensor, bins: Tensor) -> Tensor:
         (H, S, S).
     """
     if table.device.type == 'cpu':
-        return _Lookup.apply(table, bins, bins.shape[2] > 1)  # type: ignore[no-any-return,no-untyped-call]
+        return _Lookup.apply(table.float(), bins, bins.shape[2] > 1)  # type: ignore[no-any-return,no-untyped-call]
     heads, s, _ = table.shape
     rows = bins.long().reshape(1, s, -1).expand(heads, s, -1)
     values = table.gather(2, rows).view(heads, s, bins.shape[1], bins.shape[2])

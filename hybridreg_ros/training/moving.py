@@ -1,0 +1,220 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""How well the mask tells moving from static points of labelled pairs, whole folders at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from hybridreg_ros.data.pair import Label
+from hybridreg_ros.metrics import registration
+from hybridreg_ros.model.budget import voxel_size_m
+from hybridreg_ros.model.geometry.upsampling import upsample_to_level0, values_of_inputs
+from hybridreg_ros.training.validation import overlap_points, threshold_m
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from hybridreg_ros.data.loaders.labelled import LabelledPair
+    from hybridreg_ros.model.budget import Budget
+    from hybridreg_ros.model.encoded import EncodedCloud
+    from hybridreg_ros.model.register import HybridReg
+    from hybridreg_ros.model.result import RegistrationResult
+
+    F32 = NDArray[np.float32]
+    I64 = NDArray[np.int64]
+
+RANGE_M = (1.0, 50.0)
+"""Distances from the sensor at which points are scored."""
+PEOPLE_RANGE_M = (5.0, 25.0)
+"""Those of the points on people."""
+_BINS = 4096
+
+
+def histogram_auc(positive: I64, negative: I64) -> float:
+    """AUC of two histograms over the same bins of a score; values of one bin are ties.
+
+    Args:
+        positive: (B,) counts.
+        negative: (B,) counts.
+
+    Returns:
+        P(score of a positive > score of a negative), ties count half; NaN when one is empty.
+
+    Examples:
+        >>> histogram_auc(np.array([0, 1, 1]), np.array([1, 1, 0]))
+        0.875
+    """
+    below = np.cumsum(negative) - 0.5 * negative
+    pairs = float(positive.sum()) * float(negative.sum())
+    return float((positive * below).sum() / pairs) if pairs else float('nan')
+
+
+def best_iou(positive: I64, negative: I64) -> float:
+    """Largest IoU (tp / (tp + fp + fn)) over all thresholds of a histogram; NaN if none positive.
+
+    Examples:
+        >>> best_iou(np.array([0, 1, 1]), np.array([1, 1, 0]))
+        0.6666666666666666
+    """
+    if not positive.sum():
+        return float('nan')
+    tp, fp = np.cumsum(positive[::-1]), np.cumsum(negative[::-1])
+    return float((tp / (positive.sum() + fp)).max())
+
+
+@dataclass(frozen=True, eq=False)
+class Tally:
+    """Histograms of an uncertainty over points that are static, moving, and moving people."""
+
+    counts: I64 = field(default_factory=lambda: np.zeros((3, _BINS), np.int64))
+
+    def add(self, uncertainty: F32, points: F32, label: NDArray[np.uint8]) -> None:
+        """Count points (N, 3) in the sensor frame, metres; label: (N,) of `Label`."""
+        bins = np.minimum((_BINS * np.clip(uncertainty, 0.0, 1.0)).astype(np.int64), _BINS - 1)
+        away = np.linalg.norm(points, axis=1)
+        inside = (away >= RANGE_M[0]) & (away <= RANGE_M[1])
+        near = (away >= PEOPLE_RANGE_M[0]) & (away <= PEOPLE_RANGE_M[1])
+        for row, chosen in enumerate((
+            inside & (label == Label.STATIC),
+            inside & (label != Label.STATIC),
+            near & (label == Label.DEFORMING),
+        )):  # fmt: skip
+            self.counts[row] += np.bincount(bins[chosen], minlength=_BINS)
+
+    @property
+    def auc(self) -> float:
+        """Of moving against static points."""
+        return histogram_auc(self.counts[1], self.counts[0])
+
+    @property
+    def people_auc(self) -> float:
+        """Of walking people, 5 to 25 m away, against static points."""
+        return histogram_auc(self.counts[2], self.counts[0])
+
+    @property
+    def iou(self) -> float:
+        """Of the moving points, at the best threshold."""
+        return best_iou(self.counts[1], self.counts[0])
+
+
+@dataclass(eq=False)
+class MovingScore:
+    """What one folder of labelled pairs gives.
+
+    Attributes:
+        name: of the folder.
+        network: the mask of the network alone, spread over the points.
+        result: the uncertainty that `register()` returns, corrected by the pose.
+        pairs: scored.
+        right: of these, registered.
+    """
+
+    name: str
+    network: Tally = field(default_factory=Tally)
+    result: Tally = field(default_factory=Tally)
+    pairs: int = 0
+    right: int = 0
+
+    def row(self) -> dict[str, Any]:
+        """Numbers for the table and for JSON."""
+        static, moving, people = self.network.counts.sum(axis=1).tolist()
+        return {
+            'data': self.name,
+            'pairs': self.pairs,
+            'RR': self.right / self.pairs if self.pairs else float('nan'),
+            'moving_share': moving / max(static + moving, 1),
+            'AUC_network': self.network.auc,
+            'AUC_result': self.result.auc,
+            'IoU_network': self.network.iou,
+            'IoU_result': self.result.iou,
+            'people_points': people,
+            'people_AUC_network': self.network.people_auc,
+            'people_AUC_result': self.result.people_auc,
+        }
+
+
+def score_moving(
+    model: HybridReg, pairs: Iterable[LabelledPair], name: str, budget: Budget | None = None
+) -> MovingScore:
+    """Register labelled pairs, one attempt each, and tally the masks of both clouds.
+
+    Args:
+        model: scored.
+        pairs: metres; read one after the other.
+        name: of the folder they come from.
+        budget: by which the voxel is chosen; None: the full size.
+
+    Raises:
+        RegistrationError: a cloud has too few points.
+    """
+    score = MovingScore(name)
+    for labelled in pairs:
+        pair = labelled.pair
+        voxel_m = voxel_size_m(
+            pair.source, pair.target, factor=model.config.voxel_factor, budget=budget
+        )
+        source, target = (model.encode(c, voxel_m) for c in (pair.source, pair.target))
+        result = model.match(source, target)
+        own, other = _network_uncertainty(model, source, target)
+        for cloud, label, known, network, final in (
+            (pair.source, pair.source_label, labelled.source_known, own,
+             result.source_uncertainty),
+            (pair.target, pair.target_label, labelled.target_known, other,
+             result.target_uncertainty),
+        ):  # fmt: skip
+            score.network.add(network[known], cloud[known], label[known])
+            score.result.add(final[known], cloud[known], label[known])
+        score.pairs += 1
+        score.right += _right(labelled, result)
+    return score
+
+
+def _network_uncertainty(
+    model: HybridReg, source: EncodedCloud, target: EncodedCloud
+) -> tuple[F32, F32]:
+    """The network's sigma2 of every input point of both clouds, (N,) and (M,)."""
+    with torch.inference_mode():
+        coarse = model.net.correlate(source.encoding, target.encoding)
+    found = []
+    for cloud, sigma2 in ((source, coarse.source_sigma2), (target, coarse.target_sigma2)):
+        pyramid = cloud.encoding.pyramid
+        spread = upsample_to_level0(pyramid, sigma2.cpu().numpy())
+        found.append(values_of_inputs(pyramid, spread))
+    return found[0], found[1]
+
+
+def _right(labelled: LabelledPair, result: RegistrationResult) -> bool:
+    """Whether the pose is right by the measure of `hybridreg evaluate`."""
+    pair = labelled.pair
+    error_m = registration.rmse_m(
+        pair.T_target_source, result.T_target_source, overlap_points(pair)
+    )
+    return bool(error_m < threshold_m(pair.voxel_size_m))
+
+
+def to_markdown(scores: Iterable[MovingScore]) -> str:
+    """Table of some folders, AUC and IoU as network / result of `register()`."""
+    lines = [
+        '| data | pairs | RR % | moving % | AUC, network / result | best IoU | '
+        'people 5 to 25 m: AUC |',
+        '|---|---|---|---|---|---|---|',
+    ]
+    for score in scores:
+        r = score.row()
+        lines.append(
+            f'| {r["data"]} | {r["pairs"]} | {100 * r["RR"]:.1f} | {100 * r["moving_share"]:.2f} '
+            f'| {_both(r, "AUC")} | {_both(r, "IoU")} | {_both(r, "people_AUC")} |'
+        )
+    return '\n'.join(lines) + '\n'
+
+
+def _both(row: dict[str, Any], key: str) -> str:
+    values = [row[f'{key}_{kind}'] for kind in ('network', 'result')]
+    return ' / '.join('-' if np.isnan(v) else f'{v:.3f}' for v in values)

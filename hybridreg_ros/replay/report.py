@@ -158,8 +158,8 @@ def _confidence(run: ReportRun, start: int) -> str:
         key = ''.join(
             f'<li><span class="swatch {kind}"></span>{text}</li>'
             for kind, text in (
-                ('hybridreg', 'network branch'),
-                ('kiss_icp', 'fallback kiss-icp'),
+                ('hybridreg', 'the network'),
+                ('kiss_icp', 'kiss-icp'),
                 ('lost', 'lost'),
             )
         )

@@ -44,7 +44,7 @@ def _trajectory_cells(t: TrajectoryScore) -> list[str]:
 def score_rows(runs: Sequence[Row]) -> list[list[str]]:
     """Header and one row per run, as text."""
     header = ['run', 'frames', 'ATE m', 'ATE %', 'step mm', 'step deg', 'drift %']
-    header += ['IoU', 'precision', 'recall', 'ms/frame', 'network', 'fallback', 'lost']
+    header += ['IoU', 'precision', 'recall', 'ms/frame', 'network', 'kiss-icp', 'lost']
     rows = [header]
     for name, log, scores in runs:
         t, m = scores.trajectory, scores.mask

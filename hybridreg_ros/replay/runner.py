@@ -17,6 +17,7 @@ from hybridreg_ros.core.pointcloud2 import field_values, has_field
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.metrics.mask import MaskCounts, count
 from hybridreg_ros.metrics.trajectory import Trajectory
+from hybridreg_ros.odometry.result import Reason
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -125,9 +126,12 @@ class ReplayLog:
         return sum(counts, MaskCounts()) if counts else None
 
     def sources(self) -> dict[str, int]:
-        """Number of frames per source; empty when no source is known."""
-        counts = Counter(f.source for f in self.frames)
-        return {} if set(counts) == {''} else dict(counts)
+        """Number of frames per source; empty when no source is known.
+
+        The first scan, which defines the odom frame, was registered by nothing and is not counted.
+        """
+        counts = Counter(f.source for f in self.frames if f.reason != Reason.FIRST_SCAN.value)
+        return {} if set(counts) <= {''} else dict(counts)
 
 
 def true_dynamic(message: Any, scan: Scan) -> NDArray[np.bool_] | None:

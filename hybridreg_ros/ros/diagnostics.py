@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from hybridreg_ros.odometry.result import Reason, Source
+from hybridreg_ros.odometry.result import Source
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from hybridreg_ros.ros.monitor import Snapshot
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
-
-_CHOSEN = (Reason.OK, Reason.REGISTRAR_KISS_ICP, Reason.FIRST_SCAN)
 
 
 @dataclass(frozen=True)
@@ -83,8 +81,6 @@ def _about_node(state: Snapshot, setting: Setting) -> list[tuple[bytes, str]]:
     found = []
     if not setting.has_weights:
         found.append((WARN, f'no weights, kiss-icp alone: {setting.weights}'))
-    elif state.source is Source.KISS_ICP and state.reason not in _CHOSEN:
-        found.append((WARN, f'fallback kiss_icp: {state.reason.value}'))
     if setting.paused:
         found.append((WARN, 'paused'))
     elif state.idle_s > setting.input_timeout_s:

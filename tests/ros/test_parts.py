@@ -192,8 +192,7 @@ class TestDiagnostics:
         assert line == 'hybridreg to kiss_icp at 2.000 s: low_confidence, confidence 0.75'
         found = status(monitor.snapshot(), SETTING)
         assert values(found)['last_switch'] == line
-        assert found.level == DiagnosticStatus.WARN
-        assert 'fallback kiss_icp: low_confidence' in found.message
+        assert found.level == DiagnosticStatus.OK  # one of two ways, and no fault
 
     def test_lost_is_an_error(self):
         monitor = Monitor()

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
@@ -104,12 +104,11 @@ def _encoded(network: HybridRegNet, pyramid: Pyramid, precision: str) -> Encodin
     device = next(network.parameters()).device.type
     with torch.autocast(device, torch.bfloat16):
         encoding = network.encode(pyramid)
-    features: dict[str, Any] = {
-        f.name: value.float()
-        for f in dataclasses.fields(encoding)
-        if isinstance(value := getattr(encoding, f.name), Tensor) and value.is_floating_point()
-    }
-    return dataclasses.replace(encoding, **features)
+    return dataclasses.replace(
+        encoding,
+        fine_features=encoding.fine_features.float(),
+        superpoint_features=encoding.superpoint_features.float(),
+    )
 
 
 def as_tensor(value: object) -> Tensor:

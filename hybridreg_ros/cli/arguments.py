@@ -171,6 +171,8 @@ def _replay(commands: Commands) -> None:
     p.add_argument('--truth-topic', help='Odometry topic with true poses')
     p.add_argument('--time-unit', default='auto', help='unit of per-point times (default auto)',
                    choices=('auto', 's', 'ms', 'us', 'ns', 'normalised', 'none'))  # fmt: skip
+    p.add_argument('--time-field', default='', metavar='NAME',
+                   help='field of per-point times (default: the first usable one)')  # fmt: skip
     p.add_argument('--stride', type=COUNT, default=1, metavar='N', help='take every n-th cloud')
     p.add_argument('--max-frames', type=COUNT, metavar='N', help='stop after n clouds')
     p.add_argument('--no-clouds', action='store_true', help='leave the clouds out of dynamic.mcap')

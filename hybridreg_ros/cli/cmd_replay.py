@@ -66,6 +66,7 @@ def _jobs(args: argparse.Namespace) -> list[session.Job]:
             topic=args.topic,
             truth_topic=args.truth_topic,
             time_unit=args.time_unit,
+            time_field=args.time_field,
             stride=args.stride,
             max_frames=args.max_frames,
             clouds=not args.no_clouds,

@@ -46,6 +46,7 @@ def check_options(args: argparse.Namespace) -> None:
         '--stride': args.stride != 1,
         '--max-frames': args.max_frames is not None,
         '--time-unit': args.time_unit != 'auto',
+        '--time-field': args.time_field != '',
         '--weights': args.weights is not None,
         '--no-clouds': args.no_clouds,
     }

@@ -31,6 +31,7 @@ class Scan:
         size: number of rows of that message, dropped ones included.
         shape: (height, width) of the message; height > 1 means an organised cloud.
         notes: what could not be used of the message (one line each), for logs and diagnostics.
+        times_from: field and unit that `times` were made from, or why there are none.
     """
 
     points: NDArray[np.float32]
@@ -41,6 +42,7 @@ class Scan:
     size: int = -1
     shape: tuple[int, int] = (0, 0)
     notes: tuple[str, ...] = ()
+    times_from: str = ''
 
     def __post_init__(self) -> None:
         """Normalise types; fill `rows`, `size`, `shape` when they are not given.
@@ -86,5 +88,5 @@ class Scan:
 
     @property
     def dropped(self) -> int:
-        """Rows of the message that held NaN or inf and are not in `points`."""
+        """Rows of the message that held no usable point and are not in `points`."""
         return self.size - len(self.points)

@@ -174,20 +174,22 @@ class Bag:
                 f'decoded: {" ".join(str(error).split())}'
             ) from None
 
-    def frames(self, topic: str | None = None, time_unit: str = 'auto') -> Iterator[CloudFrame]:
+    def frames(
+        self, topic: str | None = None, time_unit: str = 'auto', time_field: str = ''
+    ) -> Iterator[CloudFrame]:
         """Clouds in stamp order, unusable ones included with their reason.
 
         Args:
             topic: PointCloud2 topic; None takes the only one.
             time_unit: unit of per-point times, see core.pointcloud2.to_scan.
+            time_field: field of per-point times, '' = by the usual names.
         """
         for message in self.messages([self.cloud_topic(topic)]):
             cloud: Any = None
             try:
                 cloud = self.decode(message)
-                yield CloudFrame(
-                    message.stamp, cloud, pointcloud2.to_scan(cloud, time_unit=time_unit), ''
-                )
+                scan = pointcloud2.to_scan(cloud, time_unit, time_field=time_field)
+                yield CloudFrame(message.stamp, cloud, scan, '')
             except (BagError, PointCloudError) as error:
                 yield CloudFrame(message.stamp, cloud, None, str(error))
 

@@ -152,6 +152,7 @@ def metrics_of(
         'drops': log.drops,
         'interrupted': log.interrupted,
         'notes': log.notes,
+        'point_times': dict(log.times_from),
         'sources': log.sources(),
         'reasons': {r: sum(f.reason == r for f in frames) for r in sorted(seen)},
         'confidence_mean': float(confidence.mean()) if len(confidence) else None,

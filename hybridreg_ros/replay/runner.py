@@ -5,8 +5,9 @@
 from __future__ import annotations
 
 import logging
+import re
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -102,6 +103,7 @@ class ReplayLog:
         interrupted: why the run ended early, '' when it did not.
         wall_s: duration of the run.
         notes: what a reader of the results must know, one line each.
+        times_from: what per-point times were made from, or why there are none; scans of each.
     """
 
     frames: list[FrameLog] = field(default_factory=list)
@@ -109,6 +111,7 @@ class ReplayLog:
     interrupted: str = ''
     wall_s: float = 0.0
     notes: list[str] = field(default_factory=list)
+    times_from: Counter[str] = field(default_factory=Counter)
 
     def trajectory(self) -> Trajectory:
         """Poses of the accepted frames, (N, 4, 4), strictly increasing in time."""
@@ -195,6 +198,7 @@ def run(
     log = ReplayLog()
     start = time.perf_counter()
     outputs = tuple(sinks)
+    remarks: dict[str, list[str]] = defaultdict(list)
     try:
         for number, frame in enumerate(frames):
             if stop():
@@ -204,6 +208,8 @@ def run(
                 continue
             if max_frames is not None and len(log.frames) + len(log.drops) >= max_frames:
                 break
+            if frame.scan is not None:
+                _tell_times(frame.scan, log, remarks)
             line = _one(frame, front_end, outputs, log, threshold)
             if tick is not None:
                 tick(line)
@@ -212,7 +218,18 @@ def run(
     except BagError as error:
         log.interrupted = str(error)
     log.wall_s = time.perf_counter() - start
+    for notes in remarks.values():
+        log.notes.append(f'in {len(notes)} of {len(log.frames)} clouds: {notes[0]}')
     return log
+
+
+def _tell_times(scan: Scan, log: ReplayLog, remarks: dict[str, list[str]]) -> None:
+    """Keep what a scan says of its per-point times; notes that differ in numbers are one kind."""
+    if scan.times_from not in log.times_from:
+        logger.info('per-point times: %s', scan.times_from)
+    log.times_from[scan.times_from] += 1
+    for note in scan.notes:
+        remarks[re.sub(r'\d+', '', note)].append(note)
 
 
 def _one(

@@ -40,6 +40,7 @@ class Job:
         topic: PointCloud2 topic, None for the only one.
         truth_topic: Odometry topic with true poses, None for /ground_truth/odom.
         time_unit: unit of per-point times.
+        time_field: field of per-point times, '' = by the usual names.
         stride: take every n-th cloud.
         max_frames: stop after so many.
         clouds: write dynamic and static clouds into dynamic.mcap.
@@ -52,6 +53,7 @@ class Job:
     topic: str | None = None
     truth_topic: str | None = None
     time_unit: str = 'auto'
+    time_field: str = ''
     stride: int = 1
     max_frames: int | None = None
     clouds: bool = True
@@ -123,7 +125,7 @@ def replay(job: Job, tick: Callable[[FrameLog | None], None] | None = None) -> R
         stack.enter_context(contextlib.closing(made))
         stop = stack.enter_context(StopRequest())
         log = runner.run(
-            bag.frames(topic, job.time_unit),
+            bag.frames(topic, job.time_unit, job.time_field),
             front_end,
             (tum, made, album),
             job.stride,

@@ -119,6 +119,7 @@ def status(state: Snapshot, setting: Setting) -> DiagnosticStatus:
         'worst_latency_ms': f'{1e3 * state.worst_latency_s:.1f}',
         'last_switch': state.last_switch,
         'deskewed': str(state.deskewed).lower(),
+        'point_times': state.times_from,
         'tf': setting.tf,
         'transport': setting.transport,
         **{f'{stage}_ms': f'{1e3 * s:.1f}' for stage, s in state.timings_s.items()},

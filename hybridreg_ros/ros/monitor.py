@@ -60,6 +60,7 @@ class Snapshot:
         deskewed: whether the last scan was deskewed.
         last_switch: one line about the last change of source.
         note: remark of the decoder about per-point times, '' for none.
+        times_from: field and unit of the per-point times in use, or why there are none.
         timings_s: seconds per stage of the last result.
     """
 
@@ -81,6 +82,7 @@ class Snapshot:
     deskewed: bool
     last_switch: str
     note: str
+    times_from: str
     timings_s: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -184,5 +186,6 @@ class Monitor:
                 deskewed=result is not None and result.deskewed,
                 last_switch=self._switch,
                 note=self._note,
+                times_from='none yet' if result is None else result.scan.times_from,
                 timings_s={} if result is None else dict(result.timings_s),
             )

@@ -63,6 +63,38 @@ def test_files_and_scores(replayed: Path, room_bag: Path) -> None:
     assert {'git_hash', 'python', 'machine'} <= set(provenance)
 
 
+def test_point_times_are_used_or_it_is_said_why(tmp_path: Path) -> None:
+    """A driver's own name, one point of another scan; and a field asked for that is not there."""
+    bag_path, result = tmp_path / 'a.mcap', tmp_path / 'r.json'
+    rng = np.random.default_rng(3)
+    with BagWriter(bag_path) as bag:
+        for i in range(4):
+            points = rng.uniform(-5, 5, (3000, 3))
+            offset = np.linspace(0, 1e8, 3000).astype(np.uint32)
+            offset[9] = 3_600_000_000
+            cloud = from_arrays(points, {'point_time_offset': offset})
+            bag.write_cloud('/points', START + i * PERIOD, 'lidar', cloud)
+    arguments = [
+        'replay',
+        str(bag_path),
+        '--out',
+        str(tmp_path / 'o'),
+        '--json',
+        str(result),
+        *KISS,
+    ]
+    assert main(arguments) == 0
+    metrics = json.loads(result.read_text())
+    assert metrics['point_times'] == {'point_time_offset (ns)': 4}
+    assert [row['invalid'] for row in metrics['per_frame']] == [1, 1, 1, 1]
+    note = 'field point_time_offset: 1 points left out whose times are not those of the scan'
+    assert f'in 4 of 4 clouds: {note}' in metrics['notes']
+    assert main([*arguments, '--time-field', 'when']) == 0
+    metrics = json.loads(result.read_text())
+    assert metrics['point_times'] == {'none: no field when': 4}
+    assert 'in 4 of 4 clouds: no field when in: x, y, z, point_time_offset' in metrics['notes']
+
+
 def test_odometry_file_is_exact_and_evo_reads_it(replayed: Path, tmp_path: Path) -> None:
     lines = (replayed / 'odometry.tum').read_text().splitlines()
     assert [line.split()[0] for line in lines] == [

@@ -130,6 +130,73 @@ def test_with_field_keeps_the_input(big, rng):
     assert again.point_step == out.point_step
 
 
+TURN_S = np.linspace(0.0, 0.1, 40)
+EPOCH_S = 1_760_000_000
+SICK_NS = (TURN_S * 1e9).astype(np.int64) + 948_000_000  # a second ends within the scan
+DRIVERS = {
+    'ouster': {'t': (TURN_S * 1e9).astype(np.uint32)},
+    'velodyne': {'time': TURN_S.astype(np.float32)},
+    'hesai': {'timestamp': TURN_S + EPOCH_S},
+    'robosense': {'timestamp': TURN_S + EPOCH_S, 'ring': np.zeros(40, np.uint16)},
+    'livox': {'timestamp': (TURN_S + EPOCH_S) * 1e9},
+    'livox custom': {'offset_time': (TURN_S * 1e9).astype(np.uint32)},
+    'blickfeld': {'point_time_offset': (TURN_S * 1e9).astype(np.uint32)},
+    'argoverse': {'offset_ns': (TURN_S * 1e9).astype(np.int32)},
+    'lio': {'time_offset': TURN_S.astype(np.float32)},
+    'sick': {
+        'lidar_sec': (EPOCH_S + SICK_NS // 10**9).astype(np.uint32),
+        'lidar_nsec': (SICK_NS % 10**9).astype(np.uint32),
+    },
+    'sick, nanoseconds alone': {'lidar_nsec': (SICK_NS % 10**9).astype(np.uint32)},
+    'sick, microseconds': {'t': (TURN_S * 1e6).astype(np.uint32)},
+    'fast-lio': {'curvature': (TURN_S * 1e3).astype(np.float32)},
+    'list': {'stamps': TURN_S},
+    'capitals': {'Timestamp': TURN_S + EPOCH_S},
+    'first field unused': {'t': np.zeros(40, np.uint32), 'timestamp': TURN_S + EPOCH_S},
+}
+
+
+@pytest.mark.parametrize('driver', DRIVERS)
+def test_times_of_every_driver(driver, rng):
+    fields = DRIVERS[driver]
+    msg = message(from_arrays(rng.normal(size=(40, 3)), fields), EPOCH_S * 10**9)
+    scan = to_scan(msg)
+    first = scan.times[0] if driver.startswith('sick') else 0.0
+    np.testing.assert_allclose(scan.times - first, TURN_S, atol=1e-6)
+    assert scan.times_from.split(' ')[0] in fields
+    assert scan.notes == ()
+
+
+def test_what_is_used_and_why_not(rng):
+    points = rng.normal(size=(40, 3))
+    surface = rng.uniform(0, 0.33, 40).astype(np.float32)
+    scan = to_scan(message(from_arrays(points, {'curvature': surface})))
+    assert scan.times is None, 'the curvature of a surface is no time'
+    assert scan.times_from == 'none: no time field is usable'
+    assert 'field curvature: span' in scan.notes[0]
+    scan = to_scan(message(from_arrays(points, {'intensity': surface})))
+    assert scan.times_from == 'none: no known time field in x, y, z, intensity'
+    msg = message(from_arrays(points, {'when': TURN_S, 't': TURN_S * 2}))
+    assert to_scan(msg).times_from == 't (s)'
+    scan = to_scan(msg, time_field='when')
+    assert scan.times_from == 'when (s)'
+    np.testing.assert_allclose(scan.times, TURN_S)
+    scan = to_scan(msg, time_field='then')
+    assert (scan.times, scan.times_from) == (None, 'none: no field then')
+    assert scan.notes == ('no field then in: x, y, z, when, t',)
+    assert to_scan(msg, time_unit='none').times_from == 'none: time_unit is none'
+
+
+def test_a_point_of_another_scan_is_left_out_of_every_field(rng):
+    t = TURN_S.copy()
+    t[5] = 3.6
+    scan = to_scan(message(from_arrays(rng.normal(size=(40, 3)), {'t': t})))
+    assert (len(scan), scan.dropped) == (39, 1)
+    assert 5 not in scan.rows
+    np.testing.assert_allclose(scan.times, np.delete(TURN_S, 5))
+    assert scan.notes == ('field t: 1 points left out whose times are not those of the scan',)
+
+
 def good():
     return from_arrays(np.arange(30, dtype=np.float32).reshape(10, 3))
 

@@ -210,6 +210,7 @@ def test_bad_times_are_said_and_not_used(probe, times):
     assert msg.pose.pose.position.x == pytest.approx(0.05, abs=0.03)
     probe.fresh()
     assert probe.values['deskewed'] == 'false'
+    assert probe.values['point_times'].startswith('none: ')
 
 
 def test_flood_keeps_the_newest_and_counts_the_rest(probe):

@@ -95,6 +95,11 @@ def _weights(p: argparse.ArgumentParser) -> None:
     p.add_argument('--weights', type=Path, metavar='FILE', help='checkpoint instead of ours')
 
 
+def _columns(p: argparse.ArgumentParser) -> None:
+    p.add_argument('--columns', type=_number(int, 3, 64), metavar='N',
+                   help='values per point of .bin files (default: by the values)')  # fmt: skip
+
+
 def _dask(p: argparse.ArgumentParser) -> None:
     p.add_argument('--workers', type=COUNT, default=1, metavar='N', help='processes (default 1)')
     p.add_argument(
@@ -117,6 +122,7 @@ def _register(commands: Commands) -> None:
     p.add_argument(
         '--voxel', type=POSITIVE, metavar='M', help='voxel size (default: by the clouds)'
     )
+    _columns(p)
     p.add_argument('--no-refine', action='store_true', help='leave out the final refinement')
     _weights(p)
 
@@ -129,6 +135,7 @@ def _convert(commands: Commands) -> None:
     p.add_argument('--poses', type=Path, metavar='FILE', help='poses (default: poses.txt in DIR)')
     p.add_argument('--rate', type=POSITIVE, default=None, metavar='HZ', help='without times: rate')
     p.add_argument('--stride', type=COUNT, default=1, metavar='N', help='take every n-th frame')
+    _columns(p)
     p.add_argument(
         '--pixel-step', type=COUNT, default=1, metavar='N', help='depth: every n-th pixel'
     )

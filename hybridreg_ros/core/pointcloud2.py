@@ -14,7 +14,7 @@ import numpy as np
 
 from hybridreg_ros.core.errors import PointCloudError
 from hybridreg_ros.core.point_times import AUTO, SECONDS_OF, time_fields, to_seconds
-from hybridreg_ros.core.scan import NS_PER_S, Scan
+from hybridreg_ros.core.scan import NS_PER_S, Scan, units_note
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -74,7 +74,8 @@ def to_scan(
     Returns:
         The scan; rows with a NaN or inf coordinate, or with a time that is far from all others,
         are left out of every field. `Scan.times_from` says what the times were made from,
-        `Scan.notes` what could not be used. An empty cloud gives N = 0.
+        `Scan.notes` what could not be used, or seems not to be in metres. An empty cloud gives
+        N = 0.
 
     Raises:
         PointCloudError: the layout contradicts itself, data are missing, or x, y, z are absent.
@@ -98,15 +99,17 @@ def to_scan(
     elif len(rows):
         found_times = _times(table, rows, stamp, (time_unit, scan_period_s, time_field))
     rows = found_times.rows
+    points = xyz if len(rows) == len(xyz) else xyz[rows]
+    unit_note = units_note(points)
     return Scan(
-        points=xyz if len(rows) == len(xyz) else xyz[rows],
+        points=points,
         times=found_times.seconds,
         stamp=stamp,
         frame_id=str(msg.header.frame_id),
         rows=rows,
         size=len(table),
         shape=(int(msg.height), int(msg.width)),
-        notes=found_times.notes,
+        notes=(*found_times.notes, unit_note) if unit_note else found_times.notes,
         times_from=found_times.used,
     )
 

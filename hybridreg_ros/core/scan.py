@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 NS_PER_S = 1_000_000_000
+_FARTHEST_M = 300.0
 _NO_ROWS = np.empty(0, dtype=np.int64)
 
 
@@ -90,3 +91,19 @@ class Scan:
     def dropped(self) -> int:
         """Rows of the message that held no usable point and are not in `points`."""
         return self.size - len(self.points)
+
+
+def units_note(points: NDArray[np.floating]) -> str:
+    """What to say of a cloud whose points lie too far away for metres, '' for any other.
+
+    Args:
+        points: (N, 3), sensor frame, all finite.
+    """
+    some = points[:: max(1, len(points) // 1000)].astype(np.float64)
+    middle = float(np.median(np.linalg.norm(some, axis=1))) if len(some) else 0.0
+    if middle <= _FARTHEST_M:
+        return ''
+    return (
+        f'half of the points are farther than {middle:.4g} m: expected metres, this looks like '
+        'millimetres; divide the coordinates by 1000'
+    )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.core.scan import NS_PER_S
+from hybridreg_ros.core.scan import NS_PER_S, units_note
 from hybridreg_ros.odometry import network_branch
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.intake import Intake
@@ -142,6 +142,8 @@ class HybridOdometry:
             sensor = recognise_sensor(scan.points, self.config)
             cloud = preprocess(scan, sensor, self.config.preprocess, self._motion.twist)
             if len(cloud.icp_rows) < self.config.input.min_points:
+                if note := units_note(scan.points):
+                    _log.warning('%s', note)
                 return None
             _log.info('sensor: %s', sensor)
             self._tracker = Tracker(self.config, sensor, self._registrar, self._motion)

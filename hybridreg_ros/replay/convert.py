@@ -14,6 +14,7 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import FileFormatError
 from hybridreg_ros.core.pointcloud2 import from_arrays
 from hybridreg_ros.core.scan import NS_PER_S
+from hybridreg_ros.data.loaders.columns import read_bin
 from hybridreg_ros.data.loaders.depth_images import organised_points, read_depth_m, read_intrinsics
 from hybridreg_ros.data.loaders.tum import CAMERAS, UNITS_PER_M, USUAL_CAMERA
 from hybridreg_ros.replay import trajectory_io
@@ -46,6 +47,7 @@ class ConvertOptions:
         stride: take every n-th frame.
         pixel_step: of a depth image, take every n-th row and column.
         max_depth_m: farther pixels are missing, metres.
+        columns: values per point of a scan; None tells it by those of the first scan.
     """
 
     poses: Path | None = None
@@ -53,6 +55,7 @@ class ConvertOptions:
     stride: int = 1
     pixel_step: int = 1
     max_depth_m: float = 10.0
+    columns: int | None = None
 
 
 @dataclass(frozen=True)
@@ -99,16 +102,13 @@ def _kitti(folder: Path, options: ConvertOptions) -> Recording:
     if poses is not None and len(poses) != len(scans):
         raise FileFormatError(f'{folder} has {len(scans)} scans but {len(poses)} poses')
     chosen = range(0, len(scans), options.stride)
+    columns = options.columns or read_bin(scans[0]).shape[1]
 
     def read(number: int) -> RecordedFrame:
         i = chosen[number]
-        raw = np.fromfile(scans[i], dtype='<f4')
-        if len(raw) % 4:
-            raise FileFormatError(
-                f'{scans[i]} is cut off: {raw.nbytes} bytes are not a multiple of 16 (x y z i)'
-            )
-        table = raw.reshape(-1, 4)
-        cloud = from_arrays(table[:, :3], {'intensity': table[:, 3].copy()})
+        table = read_bin(scans[i], columns)
+        extra = {'intensity': table[:, 3].copy()} if columns > 3 else None
+        cloud = from_arrays(table[:, :3], extra)
         return RecordedFrame(stamps[i], LIDAR_FRAME, cloud, None if poses is None else poses[i])
 
     return Recording(len(chosen), 0 if poses is None else len(chosen), read)

@@ -142,12 +142,12 @@ class Worker:
         self._monitor.finished(result)
 
     def _tell_times(self, scan: Scan) -> None:
-        """Log which per-point times are used when that changes, and what is wrong with them."""
+        """Log which per-point times are used when that changes, and what is odd in the cloud."""
         if len(scan) and scan.times_from != self._times_from:
             self._times_from = scan.times_from
             self._say(f'per-point times: {scan.times_from}')
         for note in scan.notes:
-            self._warn('per-point times', note)
+            self._warn('cloud', note)
 
     def _posed(self, arrived_s: float, result: OdometryResult) -> None:
         """Publish a pose before mask and map are made."""

@@ -122,8 +122,37 @@ def test_broken_kitti_folders(
     (kitti / 'calib.txt').unlink()
     scan = kitti / 'velodyne' / '000002.bin'
     scan.write_bytes(scan.read_bytes()[:-4])
-    assert '000002.bin is cut off' in failure(capsys, chosen)
+    assert '000002.bin is not a readable .bin cloud: 828 bytes' in failure(capsys, chosen)
     assert not list(tmp_path.glob('*o.mcap*')), 'an unfinished bag was left behind'
+
+
+def test_kitti_layout_of_five_columns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Scans as nuScenes stores them (x y z intensity ring), 4 dividing their size."""
+    (tmp_path / 'k').mkdir()
+    tables = []
+    for i in range(2):
+        rng = np.random.default_rng(i)
+        xyz = rng.uniform([-40, -40, -2], [40, 40, 4], (400, 3))
+        rest = [rng.uniform(0, 255, 400).round(), np.arange(400) % 32]
+        tables.append(np.column_stack([xyz, *rest]).astype('<f4'))
+        tables[-1].tofile(tmp_path / 'k' / f'{i}.pcd.bin')
+    arguments = [
+        'convert',
+        'kitti',
+        str(tmp_path / 'k'),
+        '--overwrite',
+        '--out',
+        str(tmp_path / 'a.db3'),
+    ]
+    for more in ([], ['--columns', '5']):
+        assert main([*arguments, *more]) == 0
+        with open_bag(tmp_path / 'a.db3') as bag:
+            frames = list(bag.frames())
+        for frame, table in zip(frames, tables, strict=True):
+            assert frame.scan is not None
+            assert np.array_equal(frame.scan.points, table[:, :3])
+            assert np.array_equal(field_values(frame.message, 'intensity'), table[:, 3])
+    assert '8000 bytes are not a multiple of 28' in failure(capsys, [*arguments, '--columns', '7'])
 
 
 def write_depth(path: Path, raw: NDArray[np.uint16]) -> None:

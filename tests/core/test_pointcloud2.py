@@ -197,6 +197,13 @@ def test_a_point_of_another_scan_is_left_out_of_every_field(rng):
     assert scan.notes == ('field t: 1 points left out whose times are not those of the scan',)
 
 
+def test_millimetres_are_noted(rng):
+    points = rng.uniform(-8, 8, (200, 3))
+    assert to_scan(message(from_arrays(points))).notes == ()
+    (note,) = to_scan(message(from_arrays(1000.0 * points))).notes
+    assert 'expected metres, this looks like millimetres' in note
+
+
 def good():
     return from_arrays(np.arange(30, dtype=np.float32).reshape(10, 3))
 

@@ -113,7 +113,7 @@ def test_bad_clouds(tmp_path: Path) -> None:
         'a.xyz': (b'', r'expected one of \.npy'),
         'a.npy': (b'no array', 'is not a readable .npy'),
         'a.npz': (b'no archive', 'is not a readable .npz'),
-        'a.bin': (b'12345', r'5 bytes are not a multiple of 16'),
+        'a.bin': (b'12345', '5 bytes are no rows of float32'),
         'a.ply': (b'play', 'does not begin with "ply"'),
         'b.ply': (b'ply\nformat ascii 1.0\n', 'no end_header line'),
         'c.ply': (b'ply\nformat ascii 1.0\nelement face 1\nend_header\n', 'stands before vertex'),
@@ -152,3 +152,68 @@ def test_lzf() -> None:
     ):
         with pytest.raises(ValueError, match=text):
             lzf.decompress(packed, 5)
+
+
+def turn(n: int = 600, columns: int = 4) -> NDArray[np.float32]:
+    """A lidar's rows x y z intensity ring time, or fewer columns of them."""
+    rng = np.random.default_rng(5)
+    angle = np.linspace(0, 2 * np.pi, n)
+    far = rng.uniform(4, 30, n)
+    table = [far * np.cos(angle), far * np.sin(angle), rng.uniform(-2, 3, n)]
+    table += [rng.uniform(0, 1, n), np.arange(n) % 32, np.linspace(0, 0.1, n)]
+    return np.column_stack(table)[:, :columns].astype('<f4')
+
+
+@pytest.mark.parametrize('columns', [3, 4, 5, 6])
+@pytest.mark.parametrize('order', ['as measured', 'shuffled'])
+def test_headerless_columns_are_told_by_the_values(
+    tmp_path: Path, columns: int, order: str
+) -> None:
+    """600 rows: every number of columns from 3 to 6 divides the size."""
+    rows = turn(columns=columns)
+    rows = rows if order == 'as measured' else np.random.default_rng(1).permutation(rows)
+    rows.tofile(tmp_path / 'a.bin')
+    assert np.array_equal(read_cloud(tmp_path / 'a.bin'), rows[:, :3])
+    rows.ravel()[:-1].tofile(tmp_path / 'cut.bin')
+    with pytest.raises(FileFormatError, match=f'not a multiple of {4 * columns} .*cut off'):
+        read_cloud(tmp_path / 'cut.bin')
+
+
+def test_headerless_files_that_hold_no_points(tmp_path: Path) -> None:
+    path = tmp_path / 'a.bin'
+    np.linspace(0, 0.1, 600, dtype='<f4').tofile(path)
+    with pytest.raises(FileFormatError, match='as if they were no points'):
+        read_cloud(path)
+    turn().astype('<f8').tofile(path)
+    with pytest.raises(FileFormatError, match=r'no coordinates in metres|do not tell'):
+        read_cloud(path)
+    path.write_bytes(b'# .PCD v0.7 a text file of some length, as long as it takes here' * 12)
+    with pytest.raises(FileFormatError, match=r'is not a readable \.bin cloud'):
+        read_cloud(path)
+    path.write_bytes(b'')
+    with pytest.raises(FileFormatError, match='0 bytes are no rows'):
+        read_cloud(path)
+    np.zeros((5, 7), '<f4').tofile(path)
+    with pytest.raises(FileFormatError, match=r'140 bytes are not a multiple of 16'):
+        read_cloud(path)
+    assert read_cloud(path, 7).shape == (5, 3)
+    with pytest.raises(FileFormatError, match=r'not a multiple of 24 \(6 columns\)'):
+        read_cloud(path, 6)
+    rng = np.random.default_rng(0)
+    even, odd = rng.normal(0, 1, (600, 3)), rng.normal(0, 9, (600, 3))
+    np.stack([even, odd]).transpose(1, 0, 2).astype('<f4').tofile(path)
+    assert len(read_cloud(path, 3)) == 1200
+
+
+def test_points_as_columns(tmp_path: Path) -> None:
+    """(3, N) and (4, N) are turned over; what can be neither is refused."""
+    for name, array in (('a.npy', cloud().T), ('b.npy', np.vstack([cloud().T, np.ones(50)]))):
+        np.save(tmp_path / name, array)
+        assert np.array_equal(read_cloud(tmp_path / name), cloud())
+    np.savez(tmp_path / 'a.npz', points=cloud().T)
+    assert np.array_equal(read_cloud(tmp_path / 'a.npz'), cloud())
+    np.save(tmp_path / 'few.npy', cloud(3))
+    assert np.array_equal(read_cloud(tmp_path / 'few.npy'), cloud(3))
+    np.save(tmp_path / 'c.npy', np.zeros((40, 500)))
+    with pytest.raises(FileFormatError, match=r'shape \(40, 500\): expected \(N, 3\)'):
+        read_cloud(tmp_path / 'c.npy')

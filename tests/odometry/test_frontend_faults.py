@@ -246,6 +246,12 @@ def test_only_absurd_coordinates_are_too_few_points() -> None:
     assert is_lost(run([cloud])[0])
 
 
+def test_millimetres_are_said(caplog: pytest.LogCaptureFixture) -> None:
+    cloud = scans(walk(1), RAYS)[0]
+    assert is_lost(run([with_points(cloud, 1000.0 * cloud.points)])[0])
+    assert 'this looks like millimetres; divide the coordinates by 1000' in caplog.text
+
+
 @pytest.mark.parametrize('times', ['equal', 'nan', 'far'])
 def test_bad_point_times_are_not_used(times: str) -> None:
     clouds = scans(walk(5), RAYS)

@@ -11,9 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hybridreg_ros.core.errors import FileFormatError
+from hybridreg_ros.data.loaders.columns import points_in_rows, read_bin
 from hybridreg_ros.data.loaders.lzf import decompress
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
 NPZ_KEYS = ('points', 'xyz', 'cloud', 'pos', 'arr_0')
@@ -25,18 +28,24 @@ _PLY_TYPES = {
 _PLY_ORDER = {'binary_little_endian': '<', 'binary_big_endian': '>'}
 
 
-def read_cloud(path: str | Path) -> NDArray[np.float32]:
+def read_cloud(path: str | Path, columns: int | None = None) -> NDArray[np.float32]:
     """Points (N, 3) float32 of a file, metres; rows may hold NaN.
+
+    Args:
+        path: .npy, .npz (also with points as columns), .ply, .pcd, or .bin (float32, no header).
+        columns: values per point of a .bin file; None tells it by the values.
 
     Raises:
         FileFormatError: missing, unknown, damaged, or without x y z.
     """
     path = Path(path)
-    readers = {'.npy': _npy, '.npz': _npz, '.ply': _ply, '.pcd': _pcd, '.bin': _bin}
+    readers: dict[str, Callable[[Path], NDArray[Any]]]
+    readers = {'.npy': _npy, '.npz': _npz, '.ply': _ply, '.pcd': _pcd,
+               '.bin': lambda file: read_bin(file, columns)}  # fmt: skip
     if path.suffix.lower() not in readers:
         raise FileFormatError(f'{path}: expected one of {", ".join(readers)}')
     try:
-        points = readers[path.suffix.lower()](path)
+        points = points_in_rows(readers[path.suffix.lower()](path))
     except OSError as error:
         raise FileFormatError(f'cannot read cloud {path}: {error.strerror or error}') from None
     except (ValueError, LookupError, EOFError, zipfile.BadZipFile) as error:
@@ -92,13 +101,6 @@ def _npz(path: Path) -> NDArray[Any]:
                 f'no array named {", ".join(NPZ_KEYS)}; found {", ".join(archive.files) or "none"}'
             )
         return np.asarray(archive[name])
-
-
-def _bin(path: Path) -> NDArray[Any]:
-    raw = np.fromfile(path, dtype='<f4')
-    if len(raw) % 4 or path.stat().st_size % 16:
-        raise ValueError(f'{path.stat().st_size} bytes are not a multiple of 16 (x y z intensity)')
-    return raw.reshape(-1, 4)
 
 
 def _split_header(data: bytes, end: bytes) -> tuple[list[str], bytes]:

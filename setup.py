@@ -46,6 +46,7 @@ setup(
     python_requires='>=3.11,<3.13',
     install_requires=[
         'numpy>=1.26,<3',
+        'natsort>=8',
         'numba>=0.61',
         'pyyaml>=6',
         'torch==2.13.0',

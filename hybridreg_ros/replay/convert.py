@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from natsort import natsorted
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import FileFormatError
@@ -94,7 +95,7 @@ def open_recording(kind: str, folder: Path, options: ConvertOptions) -> Recordin
 
 
 def _kitti(folder: Path, options: ConvertOptions) -> Recording:
-    scans = sorted((folder / 'velodyne').glob('*.bin')) or sorted(folder.glob('*.bin'))
+    scans = natsorted((folder / 'velodyne').glob('*.bin')) or natsorted(folder.glob('*.bin'))
     if not scans:
         raise FileFormatError(f'{folder} holds no scans: expected velodyne/*.bin')
     poses = _kitti_poses(folder, options.poses)
@@ -168,7 +169,7 @@ def _stamp_of(number: int, rate_hz: float) -> int:
 
 
 def _depth(folder: Path, options: ConvertOptions) -> Recording:
-    images = sorted(folder.glob('*depth*.png')) or sorted((folder / 'depth').glob('*.png'))
+    images = natsorted(folder.glob('*depth*.png')) or natsorted(folder.glob('depth/*.png'))
     if not images:
         raise FileFormatError(
             f'{folder} holds no depth images: expected *depth*.png or depth/*.png'

@@ -126,6 +126,28 @@ def test_broken_kitti_folders(
     assert not list(tmp_path.glob('*o.mcap*')), 'an unfinished bag was left behind'
 
 
+def test_unpadded_numbers_keep_their_order(tmp_path: Path) -> None:
+    """0.bin to 11.bin go with rows 0 to 11 of the poses; so do depth images."""
+    truth = poses(12)
+    (tmp_path / 'k').mkdir()
+    (tmp_path / 'k' / 'poses.txt').write_text(rows(truth))
+    for i in range(12):
+        np.full((5, 4), i, '<f4').tofile(tmp_path / 'k' / f'{i}.bin')
+        write_depth(tmp_path / 'd' / f'depth{i}.png', np.full((6, 8), 500 * (i + 1), np.uint16))
+    (tmp_path / 'd' / 'camera-intrinsics.txt').write_text('10 0 4\n0 20 3\n0 0 1\n')
+    for kind, folder, step, first in (('kitti', 'k', 1.0, 0.0), ('depth', 'd', 0.5, 0.5)):
+        out = str(tmp_path / f'{folder}.mcap')
+        assert main(['convert', kind, str(tmp_path / folder), '--out', out]) == 0
+        with open_bag(out) as bag:
+            frames, found = list(bag.frames()), bag.ground_truth()
+        assert [f.scan.points[0, 2] for f in frames if f.scan] == [
+            first + step * i for i in range(12)
+        ]
+        if kind == 'kitti':
+            assert found is not None
+            np.testing.assert_allclose(found.poses, truth, atol=1e-9)
+
+
 def test_kitti_layout_of_five_columns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Scans as nuScenes stores them (x y z intensity ring), 4 dividing their size."""
     (tmp_path / 'k').mkdir()

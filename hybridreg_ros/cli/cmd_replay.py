@@ -109,6 +109,9 @@ def _report(args: argparse.Namespace, jobs: list[session.Job], runs: Iterable[Re
             code = EXIT_INTERRUPTED if done.log.interrupted == INTERRUPTED else EXIT_ERROR
             if code == EXIT_INTERRUPTED:
                 break
+        elif done.log.useless:
+            print(f'hybridreg: error: {job.bag}: {done.log.useless}', file=sys.stderr)
+            code = EXIT_ERROR
         if done.scores.note:
             print(f'{job.bag}: no trajectory score: {done.scores.note}', file=sys.stderr)
     print(report_tables.text_table(report_tables.score_rows(rows)))

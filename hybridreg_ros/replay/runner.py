@@ -122,6 +122,16 @@ class ReplayLog:
             np.array([poses[s] for s in stamps], dtype=np.float64).reshape(-1, 4, 4),
         )
 
+    @property
+    def useless(self) -> str:
+        """Why the run gave no pose at all, '' when it gave one."""
+        if any(f.accepted and f.source != 'lost' for f in self.frames):
+            return ''
+        taken = [f.reason for f in self.frames if f.accepted]
+        seen = Counter([d.reason for d in self.drops] + taken)
+        reasons = ', '.join(f'{n} x {reason}' for reason, n in seen.most_common(3) if reason)
+        return f'no cloud gave a pose ({reasons or "the bag holds none"})'
+
     def mask_counts(self) -> MaskCounts | None:
         """Sum over the frames with labels, None when there is none."""
         counts = [f.mask for f in self.frames if f.mask is not None]

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tiny_bags import PERIOD, START, room_cloud, sensor_pose, write_room_bag
+from tiny_bags import PERIOD, START, cloud_bytes, room_cloud, sensor_pose, write_room_bag
 
 from hybridreg_ros.cli.main import main
 from hybridreg_ros.core.pointcloud2 import CloudData, from_arrays
@@ -211,6 +211,38 @@ def test_broken_clouds_are_dropped_and_counted(
     assert 'Clouds not used' in (out / 'report.html').read_text('utf-8')
 
 
+def test_nothing_usable_is_a_failure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every cloud broken, or without any return: results are written, the exit code says no."""
+    good = room_cloud(0)
+    for name, cloud, text in (
+        ('cut', CloudData(**{**vars(good), 'data': good.data[:99]}), '3 x truncated data'),
+        ('empty', from_arrays(np.zeros((0, 3), np.float32)), '3 x too_few_points'),
+        ('mm', from_arrays(1000.0 * np.random.default_rng(0).normal(size=(3000, 3)) * 5),
+         '3 x too_few_points'),
+    ):  # fmt: skip
+        with BagWriter(tmp_path / f'{name}.mcap') as bag:
+            for i in range(3):
+                bag.write_cloud('/points', START + i * PERIOD, 'lidar', cloud)
+        out = tmp_path / name
+        line = failure(
+            capsys, ['replay', str(tmp_path / f'{name}.mcap'), '--out', str(out), *KISS]
+        )
+        assert f'no cloud gave a pose ({text}' in line
+        notes = json.loads((out / 'metrics.json').read_text())['notes']
+        assert any('looks like millimetres' in note for note in notes) == (name == 'mm')
+
+
+def test_clouds_without_stamps_are_replayed_by_log_time(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / 'a.mcap') as bag:
+        for topic, time_ns, raw in cloud_bytes(3, stamped=False):
+            bag.write_raw(topic, 'sensor_msgs/msg/PointCloud2', time_ns, raw)
+    out = tmp_path / 'o'
+    assert main(['replay', str(tmp_path / 'a.mcap'), '--out', str(out), *KISS]) == 0
+    metrics = json.loads((out / 'metrics.json').read_text())
+    assert metrics['accepted'] == 3
+    assert metrics['per_frame'][2]['stamp'] == START + 2 * PERIOD
+
+
 def test_bag_without_truth_is_replayed_unscored(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -236,8 +268,6 @@ def test_cut_off_mcap_is_replayed_with_a_warning(
 
 def test_bad_bags_give_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_room_bag(tmp_path / 'two.mcap', 1, topics=('/front', '/rear'))
-    write_room_bag(tmp_path / 'dir', 1)
-    (tmp_path / 'dir' / 'metadata.yaml').unlink()
     (tmp_path / 'no.mcap').write_bytes(b'hello')
     write_room_bag(tmp_path / 'cut.db3', 4)
     data = (tmp_path / 'cut.db3').read_bytes()
@@ -247,7 +277,6 @@ def test_bad_bags_give_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[st
     for name, text in {
         'gone.mcap': 'no bag at',
         'two.mcap': 'choose one with --topic: /front, /rear',
-        'dir': 'has no metadata.yaml',
         'no.mcap': 'cannot read bag',
         'cut.db3': '.recover',
         'odom.mcap': 'has no PointCloud2 topic',

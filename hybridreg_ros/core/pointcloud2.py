@@ -14,7 +14,7 @@ import numpy as np
 
 from hybridreg_ros.core.errors import PointCloudError
 from hybridreg_ros.core.point_times import AUTO, SECONDS_OF, time_fields, to_seconds
-from hybridreg_ros.core.scan import NS_PER_S, Scan, units_note
+from hybridreg_ros.core.scan import NO_RETURN_M, NS_PER_S, Scan, farther, units_note
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -72,10 +72,10 @@ def to_scan(
             `point_times.TIME_FIELDS`.
 
     Returns:
-        The scan; rows with a NaN or inf coordinate, or with a time that is far from all others,
-        are left out of every field. `Scan.times_from` says what the times were made from,
-        `Scan.notes` what could not be used, or seems not to be in metres. An empty cloud gives
-        N = 0.
+        The scan; rows with a NaN or inf coordinate, at the sensor (no return: `Scan.near`), or
+        with a time that is far from all others are left out of every field. `Scan.times_from`
+        says what the times were made from, `Scan.notes` what could not be used, or seems not to be
+        in metres. An empty cloud gives N = 0.
 
     Raises:
         PointCloudError: the layout contradicts itself, data are missing, or x, y, z are absent.
@@ -91,7 +91,9 @@ def to_scan(
     with np.errstate(over='ignore', invalid='ignore'):
         for column, axis in enumerate('xyz'):
             xyz[:, column] = _column(table, axis)
-    rows = np.flatnonzero(np.isfinite(xyz).all(axis=1))
+    finite = np.isfinite(xyz).all(axis=1)
+    seen = finite & farther(xyz, NO_RETURN_M)
+    rows = np.flatnonzero(seen)
     stamp = int(msg.header.stamp.sec) * NS_PER_S + int(msg.header.stamp.nanosec)
     found_times = _Times(None, rows, 'none: the cloud is empty', ())
     if time_unit == 'none':
@@ -109,6 +111,7 @@ def to_scan(
         rows=rows,
         size=len(table),
         shape=(int(msg.height), int(msg.width)),
+        near=int(np.count_nonzero(finite)) - int(np.count_nonzero(seen)),
         notes=(*found_times.notes, unit_note) if unit_note else found_times.notes,
         times_from=found_times.used,
     )

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 NS_PER_S = 1_000_000_000
 _FARTHEST_M = 300.0
+NO_RETURN_M = 0.01
+"""Nothing measures nearer than this: drivers write (0, 0, 0) where there was no return."""
 _NO_ROWS = np.empty(0, dtype=np.int64)
 
 
@@ -31,6 +33,7 @@ class Scan:
         rows: (N,) int64, row of each point in its message (rows with NaN are skipped).
         size: number of rows of that message, dropped ones included.
         shape: (height, width) of the message; height > 1 means an organised cloud.
+        near: rows of the message left out because they lie at the sensor, or nearer than it sees.
         notes: what could not be used of the message (one line each), for logs and diagnostics.
         times_from: field and unit that `times` were made from, or why there are none.
     """
@@ -42,6 +45,7 @@ class Scan:
     rows: NDArray[np.int64] = field(default_factory=lambda: _NO_ROWS)
     size: int = -1
     shape: tuple[int, int] = (0, 0)
+    near: int = 0
     notes: tuple[str, ...] = ()
     times_from: str = ''
 
@@ -89,8 +93,30 @@ class Scan:
 
     @property
     def dropped(self) -> int:
-        """Rows of the message that held no usable point and are not in `points`."""
+        """Rows of the message that are not in `points`: NaN, inf, or `near`."""
         return self.size - len(self.points)
+
+    def beyond(self, range_m: float) -> Scan:
+        """The scan without points nearer than a range (metres), in every field; `near` grows."""
+        keep = farther(self.points, range_m)
+        near = len(self) - int(np.count_nonzero(keep))
+        if not near:
+            return self
+        times = None if self.times is None else self.times[keep]
+        return replace(
+            self,
+            points=self.points[keep],
+            times=times,
+            rows=self.rows[keep],
+            near=self.near + near,
+        )
+
+
+def farther(points: NDArray[np.float32], range_m: float) -> NDArray[np.bool_]:
+    """Which points (N, 3) are not nearer to the sensor than a range, metres; none with NaN."""
+    with np.errstate(over='ignore', invalid='ignore'):
+        inside: NDArray[np.bool_] = np.einsum('ij,ij->i', points, points) >= range_m**2
+    return inside
 
 
 def units_note(points: NDArray[np.floating]) -> str:

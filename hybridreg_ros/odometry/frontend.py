@@ -128,6 +128,17 @@ class HybridOdometry:
         self._keyframe_id = made.keyframe_id
         return replace(result, timings_s=watch.laps(), **made._asdict())
 
+    def seen(self, scan: Scan) -> Scan:
+        """The scan without points nearer than the sensor can see: no return, or its own housing.
+
+        They are not registered, and nothing is known of whether they move; whoever publishes
+        points of a scan steps with what this returns.
+        """
+        if not len(scan):
+            return scan
+        known = None if self._tracker is None else self._tracker.sensor
+        return scan.beyond((known or recognise_sensor(scan.points, self.config)).min_range_m)
+
     def _rebase(self, scan: Scan, fault: Reason) -> bool:
         """Whether the time base has changed for good; then the velocity is unknown."""
         if fault is Reason.FRAME_CHANGED or not self._intake.rebased(scan):

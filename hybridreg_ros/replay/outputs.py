@@ -176,6 +176,7 @@ def _frame_row(frame: FrameLog) -> dict[str, Any]:
         'confidence': frame.confidence,
         'points': frame.points,
         'invalid': frame.invalid,
+        'near': frame.near,
         'dynamic': frame.dynamic,
         'accepted': frame.accepted,
         'total_ms': 1000.0 * frame.seconds.get('total', float('nan')),

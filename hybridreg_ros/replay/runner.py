@@ -61,6 +61,7 @@ class FrameLog:
         confidence: P(pose right), NaN when unknown.
         points: valid points.
         invalid: rows with NaN or inf that were left out.
+        near: rows without a return, or nearer than the sensor can see, that were left out.
         dynamic: points whose dynamic probability reaches the threshold.
         accepted: False when the front end refused the scan; its pose repeats the last one.
         seconds: time per stage.
@@ -74,6 +75,7 @@ class FrameLog:
     confidence: float = float('nan')
     points: int = 0
     invalid: int = 0
+    near: int = 0
     dynamic: int = 0
     accepted: bool = True
     seconds: Mapping[str, float] = field(default_factory=dict)
@@ -172,7 +174,8 @@ def log_frame(
         reason=str(result.reason.value),
         confidence=float(result.confidence),
         points=len(result.scan),
-        invalid=result.scan.dropped,
+        invalid=result.scan.dropped - result.scan.near,
+        near=result.scan.near,
         dynamic=int(called.sum()),
         accepted=result.accepted,
         seconds=dict(result.timings_s),

@@ -124,8 +124,9 @@ def replay(job: Job, tick: Callable[[FrameLog | None], None] | None = None) -> R
         made = outputs.OutputBag(job.out / 'dynamic.mcap', job.clouds, threshold)
         stack.enter_context(contextlib.closing(made))
         stop = stack.enter_context(StopRequest())
+        frames = bag.frames(topic, job.time_unit, job.time_field)
         log = runner.run(
-            bag.frames(topic, job.time_unit, job.time_field),
+            (f if f.scan is None else f._replace(scan=front_end.seen(f.scan)) for f in frames),
             front_end,
             (tum, made, album),
             job.stride,

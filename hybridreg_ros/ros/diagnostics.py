@@ -114,6 +114,7 @@ def status(state: Snapshot, setting: Setting) -> DiagnosticStatus:
         **{f'poor.{reason}': str(n) for reason, n in sorted(state.poor.items())},
         'last_drop': state.last_drop or 'none',
         'invalid_points': str(state.invalid_points),
+        'near_points': str(state.near_points),
         'waiting': str(setting.queue),
         'latency_ms': f'{1e3 * state.latency_s:.1f}',
         'worst_latency_ms': f'{1e3 * state.worst_latency_s:.1f}',

@@ -54,6 +54,7 @@ class Snapshot:
         latency_s: median seconds from arrival to publication.
         worst_latency_s: largest of the last 50.
         invalid_points: rows with NaN or inf so far.
+        near_points: rows without a return, or nearer than the sensor can see, so far.
         source: branch of the last result, None before the first.
         reason: why that branch.
         confidence: of the last result.
@@ -76,6 +77,7 @@ class Snapshot:
     latency_s: float
     worst_latency_s: float
     invalid_points: int
+    near_points: int
     source: Source | None
     reason: Reason
     confidence: float
@@ -101,6 +103,7 @@ class Monitor:
         self._received = 0
         self._processed = 0
         self._invalid = 0
+        self._near = 0
         self._since = time.monotonic()
         self._result: OdometryResult | None = None
         self._switch = 'none'
@@ -130,7 +133,8 @@ class Monitor:
         line = ''
         with self._lock:
             self._processed += 1
-            self._invalid += result.scan.dropped
+            self._invalid += result.scan.dropped - result.scan.near
+            self._near += result.scan.near
             self._note = '; '.join(result.scan.notes)
             if result.reason in POOR or result.source is Source.LOST:
                 self._poor[result.reason.value] += 1
@@ -180,6 +184,7 @@ class Monitor:
                 latency_s=latencies[len(latencies) // 2],
                 worst_latency_s=latencies[-1],
                 invalid_points=self._invalid,
+                near_points=self._near,
                 source=None if result is None else result.source,
                 reason=Reason.OK if result is None else result.reason,
                 confidence=0.0 if result is None else result.confidence,

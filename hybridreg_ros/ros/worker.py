@@ -126,7 +126,7 @@ class Worker:
 
     def _handle(self, arrival: Arrival) -> None:
         try:
-            scan = to_scan(arrival.message, *self._times)
+            scan = self._front_end.seen(to_scan(arrival.message, *self._times))
             self._tell_times(scan)
             result = self._front_end.step(scan, partial(self._posed, arrival.time_s))
         except HybridRegError as error:

@@ -95,6 +95,28 @@ def test_point_times_are_used_or_it_is_said_why(tmp_path: Path) -> None:
     assert 'in 4 of 4 clouds: no field when in: x, y, z, point_time_offset' in metrics['notes']
 
 
+def test_no_return_is_in_no_output(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / 'a.mcap') as bag:
+        for i in range(3):
+            walls = np.random.default_rng(i).uniform(-5, 5, (3000, 3))
+            walls[np.arange(3000), np.arange(3000) % 3] = 5.0
+            points = np.concatenate([np.zeros((2000, 3)), walls, np.full((50, 3), 0.2)])
+            cloud = from_arrays(points, {'label': (points[:, 0] == 0.2).astype(np.uint8)})
+            bag.write_cloud('/points', START + i * PERIOD, 'lidar', cloud)
+    out = tmp_path / 'o'
+    assert main(['replay', str(tmp_path / 'a.mcap'), '--out', str(out), *KISS]) == 0
+    metrics = json.loads((out / 'metrics.json').read_text())
+    rows = metrics['per_frame']
+    assert [(r['points'], r['near'], r['invalid']) for r in rows] == [(3000, 2050, 0)] * 3
+    counts = metrics['mask']['counts']
+    assert counts['fp'] + counts['tn'] == 9000
+    with open_bag(out / 'dynamic.mcap') as bag:
+        topics = ('/hybridreg/static_points', '/hybridreg/dynamic_points')
+        parts = [s.points for topic in topics for s in bag.scans(topic)]
+    assert sum(map(len, parts)) == 9000
+    assert min(np.linalg.norm(p, axis=1).min() for p in parts if len(p)) >= 0.5
+
+
 def test_odometry_file_is_exact_and_evo_reads_it(replayed: Path, tmp_path: Path) -> None:
     lines = (replayed / 'odometry.tum').read_text().splitlines()
     assert [line.split()[0] for line in lines] == [

@@ -60,7 +60,7 @@ def packed(points, fields, step, *, big=False, height=1, row_padding=0, extra=No
 )
 def test_every_layout_decodes(code, gap, tail, big, row_padding, height, seed):
     rng = np.random.default_rng(seed)
-    points = rng.integers(0, 100, (6, 3)).astype(float)
+    points = rng.integers(1, 100, (6, 3)).astype(float)
     size = np.dtype(NUMPY_OF_CODE[code]).itemsize
     fields = [Field(a, gap + k * (size + gap), code, 1) for k, a in enumerate('zxy')]
     step = 3 * (size + gap) + gap + tail
@@ -79,6 +79,20 @@ def test_one_mask_for_all_fields():
     np.testing.assert_array_equal(scan.rows, [0, 3])
     np.testing.assert_allclose(scan.times, [0.0, 0.03], atol=1e-7)
     assert (len(scan), scan.size, scan.dropped) == (2, 4, 2)
+
+
+def test_no_return_is_left_out_with_one_mask():
+    points = np.array([[1, 2, 3], [0, 0, 0], [np.nan, 0, 0], [0.001, 0, 0], [7, 8, 9]])
+    scan = to_scan(message(from_arrays(points, {'t': np.linspace(0, 0.1, 5)})))
+    np.testing.assert_array_equal(scan.rows, [0, 4])
+    np.testing.assert_allclose(scan.times, [0.0, 0.1])
+    assert (scan.size, scan.dropped, scan.near) == (5, 3, 2)
+    far = scan.beyond(5.0)
+    np.testing.assert_array_equal(far.points, [[7, 8, 9]])
+    np.testing.assert_array_equal(far.rows, [4])
+    np.testing.assert_allclose(far.times, [0.1])
+    assert (far.size, far.dropped, far.near) == (5, 4, 3)
+    assert far.beyond(1.0) is far
 
 
 def test_float64_overflowing_float32_is_dropped():
@@ -229,7 +243,7 @@ def test_broken_layouts_are_one_line(change, text):
 
 
 def test_encoder_and_field_errors():
-    points = np.zeros((2, 3), np.float32)
+    points = np.ones((2, 3), np.float32)
     with pytest.raises(PointCloudError, match=r'field a must be \(2,\)'):
         from_arrays(points, {'a': np.zeros(3)})
     with pytest.raises(PointCloudError, match='cannot hold complex'):

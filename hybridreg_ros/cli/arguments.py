@@ -95,6 +95,11 @@ def _weights(p: argparse.ArgumentParser) -> None:
     p.add_argument('--weights', type=Path, metavar='FILE', help='checkpoint instead of ours')
 
 
+def _extrinsic(p: argparse.ArgumentParser, text: str) -> None:
+    p.add_argument('--extrinsic', type=float, nargs=7, help=text,
+                   metavar=('X', 'Y', 'Z', 'QX', 'QY', 'QZ', 'QW'))  # fmt: skip
+
+
 def _columns(p: argparse.ArgumentParser) -> None:
     p.add_argument('--columns', type=_number(int, 3, 64), metavar='N',
                    help='values per point of .bin files (default: by the values)')  # fmt: skip
@@ -175,7 +180,8 @@ def _replay(commands: Commands) -> None:
     p.add_argument('--config', type=Path, metavar='YAML', help='settings, see dump-config')
     _weights(p)
     p.add_argument('--topic', help='PointCloud2 topic, where a bag has several')
-    p.add_argument('--truth-topic', help='Odometry topic with true poses')
+    p.add_argument('--truth-topic', help='topic with true poses (default /ground_truth/odom)')
+    _extrinsic(p, 'pose of the sensor in the body of the true poses')
     p.add_argument('--time-unit', default='auto', help='unit of per-point times (default auto)',
                    choices=('auto', 's', 'ms', 'us', 'ns', 'normalised', 'none'))  # fmt: skip
     p.add_argument('--time-field', default='', metavar='NAME',
@@ -216,8 +222,9 @@ def _score(commands: Commands) -> None:
     p = _command(commands, 'score', 'cmd_score', 'compare a trajectory or a bag with the truth')
     p.add_argument('estimate', type=Path, metavar='EST', help='TUM or KITTI poses, or a bag')
     p.add_argument('reference', type=Path, metavar='REF', help='TUM or KITTI poses, or a bag')
-    p.add_argument('--topic', help='Odometry topic of EST (default /hybridreg/odom)')
-    p.add_argument('--ref-topic', help='Odometry topic of REF (default /ground_truth/odom)')
+    p.add_argument('--topic', help='topic of the poses of EST (default /hybridreg/odom)')
+    p.add_argument('--ref-topic', help='the same of REF (default /ground_truth/odom)')
+    _extrinsic(p, 'pose of the body of EST in that of REF')
     p.add_argument('--tolerance', type=POSITIVE, default=0.01, metavar='S', help='default 0.01')
 
 

@@ -65,6 +65,7 @@ def _jobs(args: argparse.Namespace) -> list[session.Job]:
             weights=args.weights,
             topic=args.topic,
             truth_topic=args.truth_topic,
+            extrinsic=args.extrinsic and tuple(args.extrinsic),
             time_unit=args.time_unit,
             time_field=args.time_field,
             stride=args.stride,
@@ -112,6 +113,8 @@ def _report(args: argparse.Namespace, jobs: list[session.Job], runs: Iterable[Re
         elif done.log.useless:
             print(f'hybridreg: error: {job.bag}: {done.log.useless}', file=sys.stderr)
             code = EXIT_ERROR
+        if done.scores.warning:
+            print(f'{job.bag}: {done.scores.warning}', file=sys.stderr)
         if done.scores.note:
             print(f'{job.bag}: no trajectory score: {done.scores.note}', file=sys.stderr)
     print(report_tables.text_table(report_tables.score_rows(rows)))

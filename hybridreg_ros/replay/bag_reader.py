@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from hybridreg_ros.core import pointcloud2, se3
-from hybridreg_ros.core.errors import BagError, PointCloudError
+from hybridreg_ros.core.errors import BagError, FileFormatError, PointCloudError
 from hybridreg_ros.core.quaternion import from_quaternion
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.metrics.trajectory import Trajectory
@@ -32,7 +32,14 @@ logger = logging.getLogger(__name__)
 POINT_CLOUD2 = 'sensor_msgs/msg/PointCloud2'
 ODOMETRY = 'nav_msgs/msg/Odometry'
 POSE_STAMPED = 'geometry_msgs/msg/PoseStamped'
-STAMPED = (POINT_CLOUD2, ODOMETRY, POSE_STAMPED)
+POSES = (
+    ODOMETRY,
+    POSE_STAMPED,
+    'geometry_msgs/msg/PoseWithCovarianceStamped',
+    'geometry_msgs/msg/TransformStamped',
+)
+"""Message types that hold one stamped pose."""
+STAMPED = (POINT_CLOUD2, *POSES)
 GROUND_TRUTH_TOPIC = '/ground_truth/odom'
 REORDER_WINDOW = 8
 
@@ -124,8 +131,9 @@ class Bag:
         if topic is None:
             raise BagError(f'{self.path} has no topic {wanted}; found: {self._listing()}')
         if topic.msgtype not in msgtypes:
+            expected = ' or '.join(msgtypes)
             raise BagError(
-                f'topic {wanted} of {self.path} is {topic.msgtype}, expected {msgtypes[0]}'
+                f'topic {wanted} of {self.path} is {topic.msgtype}, expected {expected}'
             )
         return topic.name
 
@@ -219,17 +227,19 @@ class Bag:
                 yield frame.scan
 
     def trajectory(self, topic: str) -> Trajectory:
-        """Poses of an Odometry or PoseStamped topic; of equal stamps the last one counts.
+        """Poses of a topic of a type in `POSES`; of equal stamps the last one counts.
 
         Raises:
-            BagError: no such topic, or another type.
+            BagError: no such topic, another type, or a message that holds no pose.
         """
-        name = self._named(topic, (ODOMETRY, POSE_STAMPED))
+        name = self._named(topic, POSES)
         poses: dict[int, Any] = {}
         for message in self.messages([name]):
-            decoded = self.decode(message)
-            pose = decoded.pose.pose if message.msgtype == ODOMETRY else decoded.pose
-            poses[message.stamp] = _matrix(pose)
+            try:
+                poses[message.stamp] = _matrix(self.decode(message))
+            except FileFormatError as error:
+                second = message.stamp / NS_PER_S
+                raise BagError(f'{self.path}, {name} at {second:.6f} s: {error}') from None
         return trajectory_of(poses.items())
 
     def ground_truth(self, topic: str | None = None) -> Trajectory | None:
@@ -250,9 +260,21 @@ def trajectory_of(poses: Iterable[tuple[int, Any]]) -> Trajectory:
     )
 
 
-def _matrix(pose: Any) -> Any:
-    q, p = pose.orientation, pose.position
-    return se3.transform(from_quaternion(q.x, q.y, q.z, q.w), np.array([p.x, p.y, p.z]))
+def _matrix(message: Any) -> Any:
+    """Pose (4, 4) of a message of a type in `POSES`.
+
+    Raises:
+        FileFormatError: its quaternion has not norm 1, or its place is not finite.
+    """
+    if hasattr(message, 'transform'):
+        q, p = message.transform.rotation, message.transform.translation
+    else:
+        pose = message.pose.pose if hasattr(message.pose, 'pose') else message.pose
+        q, p = pose.orientation, pose.position
+    place = np.array([p.x, p.y, p.z])
+    if not np.isfinite(place).all():
+        raise FileFormatError(f'its place is {place.tolist()}')
+    return se3.transform(from_quaternion(q.x, q.y, q.z, q.w), place)
 
 
 def group_by_stamp(

@@ -17,7 +17,7 @@ from hybridreg_ros.core.point_times import AUTO, SECONDS_OF, time_fields, to_sec
 from hybridreg_ros.core.scan import NO_RETURN_M, NS_PER_S, Scan, farther, units_note
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -78,18 +78,19 @@ def to_scan(
         in metres. An empty cloud gives N = 0.
 
     Raises:
-        PointCloudError: the layout contradicts itself, data are missing, or x, y, z are absent.
+        PointCloudError: the layout contradicts itself, data are missing, or x, y, z (or X, Y, Z)
+            are absent.
     """
     rows_data = _rows(msg)
     layout = _dtype(msg)
-    missing = [axis for axis in 'xyz' if axis not in (layout.names or ())]
+    axes, missing = coordinates(layout.names or ())
     if missing:
         found = ', '.join(layout.names or ()) or 'none'
         raise PointCloudError(f'PointCloud2 lacks field {", ".join(missing)}; found: {found}')
     table = rows_data.view(layout).reshape(-1)
     xyz = np.empty((len(table), 3), dtype=np.float32)
     with np.errstate(over='ignore', invalid='ignore'):
-        for column, axis in enumerate('xyz'):
+        for column, axis in enumerate(axes):
             xyz[:, column] = _column(table, axis)
     finite = np.isfinite(xyz).all(axis=1)
     seen = finite & farther(xyz, NO_RETURN_M)
@@ -175,6 +176,37 @@ def _column(table: NDArray[Any], name: str) -> NDArray[Any]:
     """Values of a field, the first of several per point."""
     values = table[name]
     return values if values.ndim == 1 else values[:, 0]
+
+
+def coordinates(names: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Names of the fields x, y and z, in small or else capital letters, and which are missing.
+
+    >>> coordinates(['X', 'Y', 'intensity'])
+    (['X', 'Y'], ['z'])
+    """
+    found, missing = [], []
+    for axis in 'xyz':
+        name = next((n for n in (axis, axis.upper()) if n in names), None)
+        if name is None:
+            missing.append(axis)
+        else:
+            found.append(name)
+    return found, missing
+
+
+def unique_names(names: Sequence[str]) -> list[str]:
+    """The names, numbered where one stands twice, so that numpy takes them.
+
+    >>> unique_names(['x', '_', '_', ''])
+    ['x', '_', '_ 2', ' 3']
+    """
+    seen: set[str] = set()
+    found = []
+    for number, name in enumerate(names):
+        plain = name if name and name not in seen else f'{name} {number}'
+        seen.add(plain)
+        found.append(plain)
+    return found
 
 
 def field_values(msg: Any, name: str) -> NDArray[Any]:
@@ -319,8 +351,6 @@ def _dtype(msg: Any) -> np.dtype[Any]:
     for f in msg.fields:
         if f.datatype not in _FORMATS:
             raise PointCloudError(f'field {f.name}: unknown datatype {f.datatype}, expected 1..8')
-        if f.name in names:
-            raise PointCloudError(f'field {f.name} stands twice in the PointCloud2')
         count = max(int(f.count), 1)
         end = int(f.offset) + count * np.dtype(_FORMATS[f.datatype]).itemsize
         if f.offset < 0 or end > step:
@@ -335,7 +365,12 @@ def _dtype(msg: Any) -> np.dtype[Any]:
         )
         offsets.append(int(f.offset))
     return np.dtype(
-        {'names': names, 'formats': formats, 'offsets': offsets, 'itemsize': max(step, 1)}
+        {
+            'names': unique_names(names),
+            'formats': formats,
+            'offsets': offsets,
+            'itemsize': max(step, 1),
+        }
     )
 
 

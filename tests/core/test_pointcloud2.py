@@ -232,7 +232,7 @@ def good():
         ({'row_step': 10}, 'row_step is 10, expected >= '),
         ({'data': np.zeros(7, np.uint8)}, 'truncated data: 1x10 points need 120 bytes, found 7'),
         ({'fields': (Field('x', 0, 9, 1),)}, 'unknown datatype 9'),
-        ({'fields': (Field('x', 0, 7, 1), Field('x', 4, 7, 1))}, 'stands twice'),
+        ({'fields': (Field('x', 0, 7, 1), Field('x', 4, 7, 1))}, 'lacks field y, z'),
         ({'fields': (Field('x', -4, 7, 1),)}, 'wrong point_step'),
     ],
 )
@@ -240,6 +240,22 @@ def test_broken_layouts_are_one_line(change, text):
     with pytest.raises(PointCloudError, match=text) as caught:
         to_scan(message(dataclasses.replace(good(), **change)))
     assert '\n' not in str(caught.value)
+
+
+def test_doubled_fields_and_capital_letters_are_read(rng):
+    """The first of two fields of one name counts; both go out again."""
+    points = rng.normal(size=(6, 3))
+    fields = [Field(a, 4 * k, 7, 1) for k, a in enumerate('xyz')]
+    cloud = packed(points, fields, 20)
+    fields += [Field('x', 12, 7, 1), Field('', 16, 7, 1)]
+    msg = message(dataclasses.replace(cloud, fields=tuple(fields)))
+    scan = to_scan(msg)
+    np.testing.assert_array_equal(scan.points, points.astype(np.float32))
+    out = with_field(msg, scan, 'p', np.zeros(6, np.float32), np.ones(6, bool))
+    assert [f.name for f in out.fields] == ['x', 'y', 'z', 'x', '', 'p']
+    fields = [f._replace(name=f.name.upper()) for f in fields[:3]]
+    scan = to_scan(message(dataclasses.replace(cloud, fields=tuple(fields))))
+    np.testing.assert_array_equal(scan.points, points.astype(np.float32))
 
 
 def test_encoder_and_field_errors():

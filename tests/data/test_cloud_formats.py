@@ -114,9 +114,31 @@ def test_bad_clouds(tmp_path: Path) -> None:
         'a.npy': (b'no array', 'is not a readable .npy'),
         'a.npz': (b'no archive', 'is not a readable .npz'),
         'a.bin': (b'12345', '5 bytes are no rows of float32'),
-        'a.ply': (b'play', 'does not begin with "ply"'),
-        'b.ply': (b'ply\nformat ascii 1.0\n', 'no end_header line'),
-        'c.ply': (b'ply\nformat ascii 1.0\nelement face 1\nend_header\n', 'stands before vertex'),
+        'a.ply': (b'play', 'expected it to begin with "ply"'),
+        'b.ply': (b'ply\nformat ascii 1.0\n', 'no end_header line: expected'),
+        'c.ply': (
+            b'ply\nformat ascii 1.0\nelement face 1\nend_header\n', 'expected an element vertex'
+        ),
+        'e.ply': (b'ply\nformat 7\nend_header\n', "expected format ascii, .* found '7'"),
+        'f.ply': (b'ply\nelement vertex\nend_header\n', "not understood: 'element vertex'"),
+        'g.ply': (b'ply\nelement vertex x\nend_header\n', 'expected a number of points'),
+        'h.ply': (
+            b'ply\nelement vertex 1\nproperty half x\nend_header\n', 'expected a property type'
+        ),
+        'i.ply': (
+            b'ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n'
+            b'property float z\nend_header\n1 2\n', 'point 0: expected 3 numbers',
+        ),
+        'c.pcd': (b'#\nSIZE 4\nDATA binary\n', 'its header has no FIELDS'),
+        'd.pcd': (
+            b'FIELDS x y z\nTYPE F F G\nSIZE 4 4 4\nPOINTS 0\nDATA binary\n',
+            'expected TYPE F, I or U .* found G4',
+        ),
+        'e.pcd': (
+            b'FIELDS x y z\nTYPE F F\nSIZE 4 4 4\nPOINTS 0\nDATA binary\n', 'found 2 and 3'
+        ),
+        'f.pcd': (b'FIELDS x y z\nPOINTS -1\nDATA ascii\n', 'POINTS: expected a number'),
+        'g.pcd': (b'FIELDS x y z\nCOUNT 1\nPOINTS 1\nDATA ascii\n', 'expected COUNT of 3 fields'),
         'd.ply': (
             b'ply\nformat binary_little_endian 1.0\nelement vertex 0\nproperty float x\n'
             b'end_header\n', 'no field y, z; found x',
@@ -149,9 +171,58 @@ def test_lzf() -> None:
         (bytes([0x80]), 'cut off'),
         (bytes([0x80, 2]), 'before their beginning'),
         (bytes([0, 97]), 'hold 1 bytes, expected 5'),
+        (bytes([0, 97, 0xE0, 255, 0]), 'hold more than 5 bytes'),
     ):
         with pytest.raises(ValueError, match=text):
             lzf.decompress(packed, 5)
+
+
+@pytest.mark.parametrize('kind', ['ascii', 'binary_little_endian', 'binary_big_endian'])
+@pytest.mark.parametrize('lists', [True, False])
+def test_ply_whose_first_element_is_not_the_vertices(
+    tmp_path: Path, kind: str, lists: bool
+) -> None:
+    """Faces, or a camera, stand before the vertices; x y z are written in capital letters."""
+    points = cloud(5)
+    faces = 'property list uchar int vertex_indices\n' if lists else 'property short a\n'
+    header = (
+        f'ply\nformat {kind} 1.0\nelement face 2\n{faces}element vertex 5\nproperty float X\n'
+        'property float Y\nproperty uchar label\nproperty uchar label\nproperty float Z\n'
+        'end_header\n'
+    )
+    order = '>' if 'big' in kind else '<'
+    if kind == 'ascii':
+        body = '3 0 1 2\n4 0 1 2 3\n' if lists else '1\n2\n'
+        body += ''.join(f'{x!r} {y!r} 7 8 {z!r}\n' for x, y, z in points.astype(float).tolist())
+        data = body.encode()
+    else:
+        long = np.arange(4, dtype=f'{order}i4').tobytes()
+        data = b'\x03' + long[:12] + b'\x04' + long if lists else b'\x00\x01\x00\x02'
+        table = np.zeros(5, [('x', f'{order}f4'), ('y', f'{order}f4'), ('l', 'u2'),
+                             ('z', f'{order}f4')])  # fmt: skip
+        table['x'], table['y'], table['z'] = points.T
+        data += table.tobytes()
+    path = tmp_path / 'a.ply'
+    path.write_bytes(header.encode() + data)
+    assert np.array_equal(read_cloud(path), points)
+    path.write_bytes(header.encode() + data[:3])
+    with pytest.raises(FileFormatError, match='cut off'):
+        read_cloud(path)
+
+
+@pytest.mark.parametrize('kind', ['ascii', 'binary', 'binary_compressed'])
+def test_pcd_in_small_letters_with_doubled_fields(tmp_path: Path, kind: str) -> None:
+    write_pcd(tmp_path / 'a.pcd', cloud(), kind)
+    data = (tmp_path / 'a.pcd').read_bytes()
+    for old, new in (
+        (b'TYPE F F F U F U', b'TYPE f f f u f u'),
+        (b'FIELDS x y z _ normal _', b'FIELDS X Y Z _ X _'),
+        (f'POINTS {len(cloud())}\n'.encode(), b''),
+    ):
+        assert old in data
+        data = data.replace(old, new)
+    (tmp_path / 'a.pcd').write_bytes(data)
+    assert np.array_equal(read_cloud(tmp_path / 'a.pcd'), cloud())
 
 
 def turn(n: int = 600, columns: int = 4) -> NDArray[np.float32]:

@@ -99,7 +99,7 @@ def odd_datatype() -> PointCloud2:
     [
         (lacking_z, 'lacks field z'),
         (truncated, 'truncated data'),
-        (doubled_field, 'field x stands twice'),
+        (doubled_field, 'lacks field y'),
         (odd_datatype, 'unknown datatype 77'),
         (lambda: edited(point_step=8), 'wrong point_step'),
         (lambda: edited(point_step=0), 'point_step'),

@@ -17,6 +17,7 @@ from hybridreg_ros.core.pointcloud2 import from_arrays
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.data.loaders.columns import read_bin
 from hybridreg_ros.data.loaders.depth_images import organised_points, read_depth_m, read_intrinsics
+from hybridreg_ros.data.loaders.posed_frames import rigid
 from hybridreg_ros.data.loaders.tum import CAMERAS, UNITS_PER_M, USUAL_CAMERA
 from hybridreg_ros.replay import trajectory_io
 from hybridreg_ros.replay.recording import EPOCH_S, RecordedFrame
@@ -141,15 +142,26 @@ def _kitti_poses(folder: Path, given: Path | None) -> NDArray[np.float64] | None
 
 
 def _tr_of(path: Path) -> NDArray[np.float64]:
-    for line in path.read_text('utf-8').splitlines():
+    for line in trajectory_io.text_of(path).splitlines():
         name, _, values = line.partition(':')
         if name.strip() in ('Tr', 'Tr_velo_to_cam', 'Tr_velo_cam'):
-            numbers = [float(v) for v in values.split()]
-            if len(numbers) == 12:
-                T = np.eye(4)
-                T[:3] = np.reshape(numbers, (3, 4))
-                return se3.orthonormalise(T)
+            return _rigid_of(values, 12, f'{path} {name.strip()}')
     raise FileFormatError(f'{path}: expected a row "Tr:" with 12 numbers')
+
+
+def _rigid_of(text: str, count: int, what: str) -> NDArray[np.float64]:
+    """Transform (4, 4) of 12 or 16 numbers.
+
+    Raises:
+        FileFormatError: they are others, or no rigid transform; `what` names them.
+    """
+    try:
+        numbers = [float(v) for v in text.split()]
+    except ValueError as error:
+        raise FileFormatError(f'{what}: {error}') from None
+    if len(numbers) != count:
+        raise FileFormatError(f'{what}: expected {count} numbers, found {len(numbers)}')
+    return rigid(np.array(numbers), what)
 
 
 def _kitti_stamps(folder: Path, count: int, rate_hz: float) -> list[int]:
@@ -214,13 +226,10 @@ def _pose_beside(image: Path) -> NDArray[np.float64] | None:
     path = image.with_name(re.sub(r'[.\-_]?depth[.\-_]?', '', image.stem) + '.pose.txt')
     if not path.exists():
         return None
-    try:
-        T = np.array([float(v) for v in path.read_text('utf-8').split()])
-    except ValueError as error:
-        raise FileFormatError(f'{path}: {error}') from None
-    if T.shape != (16,):
-        raise FileFormatError(f'{path}: expected 16 numbers, found {len(T)}')
-    return se3.orthonormalise(T.reshape(4, 4)) if np.isfinite(T).all() else None
+    text = trajectory_io.text_of(path)
+    if {'nan', 'inf', '-inf'}.intersection(text.lower().split()):
+        return None
+    return _rigid_of(text, 16, str(path))
 
 
 def _tum(folder: Path, options: ConvertOptions) -> Recording:

@@ -56,15 +56,24 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
     path.write_text('\n'.join(rows) + '\n' if rows else '', encoding='ascii')
 
 
+def text_of(path: Path) -> str:
+    """Content of a text file.
+
+    Raises:
+        FileFormatError: missing, or not text.
+    """
+    try:
+        return path.read_text(encoding='utf-8')
+    except FileNotFoundError:
+        raise FileFormatError(f'no file at {path}') from None
+    except (UnicodeDecodeError, IsADirectoryError):
+        raise FileFormatError(f'{path} is not a text file') from None
+
+
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
     """Line number and fields of every line that is neither empty nor a comment."""
-    try:
-        text = path.read_text(encoding='utf-8')
-    except FileNotFoundError:
-        raise FileFormatError(f'no trajectory at {path}') from None
-    except (UnicodeDecodeError, IsADirectoryError):
-        raise FileFormatError(f'{path} is not a text file with a trajectory') from None
-    lines = ((n, line.replace(',', ' ').split()) for n, line in enumerate(text.splitlines(), 1))
+    numbered = enumerate(text_of(path).splitlines(), 1)
+    lines = ((n, line.replace(',', ' ').split()) for n, line in numbered)
     return [(n, fields) for n, fields in lines if fields and not fields[0].startswith('#')]
 
 

@@ -132,10 +132,10 @@ def test_unpadded_numbers_keep_their_order(tmp_path: Path) -> None:
     (tmp_path / 'k').mkdir()
     (tmp_path / 'k' / 'poses.txt').write_text(rows(truth))
     for i in range(12):
-        np.full((5, 4), i, '<f4').tofile(tmp_path / 'k' / f'{i}.bin')
+        np.full((5, 4), i + 1, '<f4').tofile(tmp_path / 'k' / f'{i}.bin')
         write_depth(tmp_path / 'd' / f'depth{i}.png', np.full((6, 8), 500 * (i + 1), np.uint16))
     (tmp_path / 'd' / 'camera-intrinsics.txt').write_text('10 0 4\n0 20 3\n0 0 1\n')
-    for kind, folder, step, first in (('kitti', 'k', 1.0, 0.0), ('depth', 'd', 0.5, 0.5)):
+    for kind, folder, step, first in (('kitti', 'k', 1.0, 1.0), ('depth', 'd', 0.5, 0.5)):
         out = str(tmp_path / f'{folder}.mcap')
         assert main(['convert', kind, str(tmp_path / folder), '--out', out]) == 0
         with open_bag(out) as bag:

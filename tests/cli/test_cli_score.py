@@ -157,7 +157,7 @@ def test_errors_are_one_line(
     for estimate, text in {
         later: 'no stamps in common within 0.01 s',
         one: '1 pose in common',
-        tmp_path / 'gone.tum': 'no trajectory at',
+        tmp_path / 'gone.tum': 'no file at',
         tmp_path / 'gone.mcap': 'no bag at',
         tmp_path / 'text.txt': 'expected 8 columns (TUM) or 12 (KITTI), found 2',
     }.items():

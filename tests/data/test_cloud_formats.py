@@ -225,6 +225,35 @@ def test_pcd_in_small_letters_with_doubled_fields(tmp_path: Path, kind: str) -> 
     assert np.array_equal(read_cloud(tmp_path / 'a.pcd'), cloud())
 
 
+@pytest.mark.parametrize(
+    'name', ['a.npy', 'a.ply', 'b.ply', 'a.pcd', 'b.pcd'],
+)  # fmt: skip
+def test_what_follows_the_last_point_is_told(
+    tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A header that announces fewer points than there are."""
+    path = tmp_path / name
+    if name == 'a.npy':
+        write_npy(path, cloud(10))
+    elif name.endswith('pcd'):
+        write_pcd(path, cloud(10), 'ascii' if name[0] == 'a' else 'binary')
+    else:
+        kind = 'ascii' if name[0] == 'a' else 'binary_little_endian'
+        write_ply(path, cloud(10), kind)
+        data = path.read_bytes().replace(
+            b'element face 1\nproperty list uchar int vertex_indices\n', b'')  # fmt: skip
+        path.write_bytes(data[: -8 if kind == 'ascii' else -13])
+    assert len(read_cloud(path)) == 10
+    assert caplog.text == ''
+    data = path.read_bytes()
+    for old in (b'(10, 3)', b'vertex 10', b'POINTS 10'):
+        data = data.replace(old, old.replace(b'10', b' 8'))
+    path.write_bytes(data)
+    assert len(read_cloud(path)) == 8
+    assert f'{path}: ' in caplog.text
+    assert 'bytes follow the last point that is announced' in caplog.text
+
+
 def turn(n: int = 600, columns: int = 4) -> NDArray[np.float32]:
     """A lidar's rows x y z intensity ring time, or fewer columns of them."""
     rng = np.random.default_rng(5)

@@ -131,7 +131,7 @@ def test_stamps_in_other_units(
 
 
 def test_what_is_no_trajectory_file(tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match='no trajectory at'):
+    with pytest.raises(FileFormatError, match='no file at'):
         io.read_trajectory(tmp_path / 'gone.txt')
     with pytest.raises(FileFormatError, match='is not a text file'):
         io.read_trajectory(tmp_path)

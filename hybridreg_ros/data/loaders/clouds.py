@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+import tokenize
 import zipfile
+import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,12 +16,27 @@ from hybridreg_ros.core.errors import FileFormatError
 from hybridreg_ros.data.loaders.columns import points_in_rows, read_bin
 from hybridreg_ros.data.loaders.pcd import read_pcd
 from hybridreg_ros.data.loaders.ply import read_ply
+from hybridreg_ros.data.loaders.tables import tell_of_more
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
+DAMAGE = (
+    ValueError,
+    LookupError,
+    EOFError,
+    MemoryError,
+    ArithmeticError,
+    TypeError,
+    SyntaxError,
+    RuntimeError,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+"""What numpy and zipfile raise on damaged files."""
 NPZ_KEYS = ('points', 'xyz', 'cloud', 'pos', 'arr_0')
 
 
@@ -38,24 +55,26 @@ def read_cloud(path: str | Path, columns: int | None = None) -> NDArray[np.float
     readers = {
         '.npy': _npy,
         '.npz': _npz,
-        '.ply': lambda file: read_ply(file.read_bytes()),
-        '.pcd': lambda file: read_pcd(file.read_bytes()),
+        '.ply': lambda file: read_ply(file.read_bytes(), str(file)),
+        '.pcd': lambda file: read_pcd(file.read_bytes(), str(file)),
         '.bin': lambda file: read_bin(file, columns),
     }
     if path.suffix.lower() not in readers:
         raise FileFormatError(f'{path}: expected one of {", ".join(readers)}')
     try:
-        points = points_in_rows(readers[path.suffix.lower()](path))
+        with np.errstate(over='ignore', invalid='ignore'):  # bytes that are no numbers
+            points = points_in_rows(readers[path.suffix.lower()](path))
+            if points.ndim != 2 or points.shape[1] < 3 or points.dtype.kind not in 'fiu':
+                raise FileFormatError(
+                    f'{path}: expected numbers of shape (N, 3), found {points.dtype} '
+                    f'{points.shape}'
+                )
+            return np.ascontiguousarray(points[:, :3], dtype=np.float32)
     except OSError as error:
         raise FileFormatError(f'cannot read cloud {path}: {error.strerror or error}') from None
-    except (ValueError, LookupError, EOFError, zipfile.BadZipFile) as error:
-        text = ' '.join(str(error).split())
+    except DAMAGE as error:
+        text = ' '.join(str(error).split()) or type(error).__name__
         raise FileFormatError(f'{path} is not a readable {path.suffix} cloud: {text}') from None
-    if points.ndim != 2 or points.shape[1] < 3 or points.dtype.kind not in 'fiu':
-        raise FileFormatError(
-            f'{path}: expected numbers of shape (N, 3), found {points.dtype} {points.shape}'
-        )
-    return np.ascontiguousarray(points[:, :3], dtype=np.float32)
 
 
 def write_cloud(path: str | Path, points: NDArray[np.floating]) -> None:
@@ -90,7 +109,10 @@ def write_cloud(path: str | Path, points: NDArray[np.floating]) -> None:
 
 
 def _npy(path: Path) -> NDArray[Any]:
-    return np.asarray(np.load(path, allow_pickle=False))
+    with path.open('rb') as stream:
+        array = np.asarray(np.load(stream, allow_pickle=False))
+        tell_of_more(str(path), stream.read(1024), 0)
+    return array
 
 
 def _npz(path: Path) -> NDArray[Any]:

@@ -47,7 +47,8 @@ def read_bin(path: Path, columns: int | None = None) -> NDArray[np.float32]:
             coordinates.
     """
     try:
-        return _rows(path.read_bytes(), columns)
+        with np.errstate(over='ignore', invalid='ignore'):
+            return _rows(path.read_bytes(), columns)
     except OSError as error:
         raise FileFormatError(f'cannot read cloud {path}: {error.strerror or error}') from None
     except ValueError as error:
@@ -106,9 +107,8 @@ def _differences(
 ) -> tuple[dict[int, float], dict[int, float]]:
     """Mean difference between values so far apart, far ones tamed, and its standard error."""
     sample = values[:_SAMPLE].astype(np.float64)
-    with np.errstate(invalid='ignore'):
-        even = np.sign(sample) * np.log1p(np.abs(sample))
-        steps = {k: np.abs(even[k:] - even[:-k]) for k in lags}
+    even = np.sign(sample) * np.log1p(np.abs(sample))
+    steps = {k: np.abs(even[k:] - even[:-k]) for k in lags}
     steps = {k: s[np.isfinite(s)] for k, s in steps.items()}
     mean = {k: float(s.mean()) if len(s) else 0.0 for k, s in steps.items()}
     return mean, {k: float(s.std()) / max(len(s), 1) ** 0.5 if len(s) else 0.0

@@ -15,6 +15,7 @@ from hybridreg_ros.data.loaders.tables import (
     count_of,
     records,
     split_header,
+    tell_of_more,
     xyz_of,
 )
 
@@ -28,8 +29,8 @@ _TYPES = {
 }
 
 
-def read_pcd(data: bytes) -> NDArray[np.float64]:
-    """Points (N, 3) of the bytes of a PCD file.
+def read_pcd(data: bytes, what: str) -> NDArray[np.float64]:
+    """Points (N, 3) of the bytes of a PCD file; `what` names it in warnings.
 
     Raises:
         ValueError: it is none, is cut off, or has no x y z.
@@ -48,11 +49,15 @@ def read_pcd(data: bytes) -> NDArray[np.float64]:
         raise ValueError(f'expected COUNT of {len(names)} fields, found {len(counts)}')
     if encoding == 'ascii':
         spread = [n for n, c in zip(names, counts, strict=True) for _ in range(min(c, len(body)))]
-        return ascii_rows(body, spread, points)
+        rows = ascii_rows(body, spread, points)
+        tell_of_more(what, body, points, lines=True)
+        return rows
     kinds = _kinds(entries, len(names))
     shaped = [(k, (c,)) if c != 1 else k for k, c in zip(kinds, counts, strict=True)]
     if encoding == 'binary':
-        return xyz_of(records(body, names, shaped, points), names)
+        table = records(body, names, shaped, points)
+        tell_of_more(what, body, table.nbytes)
+        return xyz_of(table, names)
     if encoding != 'binary_compressed':
         raise ValueError(
             f'unknown DATA {encoding[:30]}: expected ascii, binary or binary_compressed'

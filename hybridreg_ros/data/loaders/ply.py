@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hybridreg_ros.data.loaders.tables import ascii_rows, count_of, records, split_header, xyz_of
+from hybridreg_ros.data.loaders.tables import (
+    ascii_rows,
+    count_of,
+    records,
+    split_header,
+    tell_of_more,
+    xyz_of,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -41,8 +48,8 @@ class _Element(NamedTuple):
         return any(p.length for p in self.properties)
 
 
-def read_ply(data: bytes) -> NDArray[np.float64]:
-    """Vertices (N, 3) of the bytes of a PLY file.
+def read_ply(data: bytes, what: str) -> NDArray[np.float64]:
+    """Vertices (N, 3) of the bytes of a PLY file; `what` names it in warnings.
 
     Raises:
         ValueError: it is none, is cut off, or its vertices have no x y z.
@@ -59,14 +66,22 @@ def read_ply(data: bytes) -> NDArray[np.float64]:
         raise ValueError('vertices with lists are not supported')
     fields = [p.name for p in vertex.properties]
     before = elements[: elements.index(vertex)]
+    last = vertex is elements[-1]
     if form == 'ascii':
-        return ascii_rows(body, fields, vertex.rows, sum(e.rows for e in before))
+        skipped = sum(e.rows for e in before)
+        points = ascii_rows(body, fields, vertex.rows, skipped)
+        if last:
+            tell_of_more(what, body, skipped + vertex.rows, lines=True)
+        return points
     order = _ORDERS[form]
     start = 0
     for element in before:
         start = _skip(body, start, element, order)
     kinds = [order + p.kind for p in vertex.properties]
-    return xyz_of(records(body[start:], fields, kinds, vertex.rows), fields)
+    table = records(body[start:], fields, kinds, vertex.rows)
+    if last:
+        tell_of_more(what, body, start + table.nbytes)
+    return xyz_of(table, fields)
 
 
 def _header(lines: list[str]) -> tuple[str, list[_Element]]:

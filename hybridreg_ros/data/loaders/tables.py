@@ -4,11 +4,14 @@
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hybridreg_ros.core.pointcloud2 import coordinates, unique_names
+
+logger = logging.getLogger(__name__)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -96,6 +99,20 @@ def records(body: bytes, names: Sequence[str], kinds: Sequence[Any], count: int)
     if not layout.itemsize:
         axes_of(names)
     return np.frombuffer(body, dtype=layout, count=count)
+
+
+def tell_of_more(what: str, body: bytes, end: int, lines: bool = False) -> None:
+    """Warn that something follows the last point: a damaged header may announce too few.
+
+    Args:
+        what: name of the file.
+        body: all after the header.
+        end: where the points end: a number of bytes, or of lines.
+        lines: whether it is that of lines.
+    """
+    rest = (body.split(b'\n', end)[end:] or [b''])[0].strip() if lines else body[end:]
+    if rest:
+        logger.warning('%s: %d bytes follow the last point that is announced', what, len(rest))
 
 
 def xyz_of(table: NDArray[Any], names: Sequence[str]) -> NDArray[np.float64]:

@@ -206,7 +206,7 @@ def damaged(data: bytes, rng: np.random.Generator, others: list[bytes]) -> tuple
     out = bytearray(data)
     n = max(len(out), 1)
     place = int(rng.integers(n))
-    size = int(min(rng.integers(1, 1 + n // 3), n - place))
+    size = int(min(rng.integers(1, 2 + n // 3), n - place))
     if kind == 0:
         return bytes(out[:place]), True
     if kind == 1:

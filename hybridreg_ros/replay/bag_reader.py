@@ -212,6 +212,8 @@ class Bag:
         for message in self.messages([self.cloud_topic(topic)]):
             cloud: Any = None
             try:
+                if message.stamp < 0:
+                    raise BagError(f'its stamp is negative: {message.stamp / NS_PER_S:.6f} s')
                 cloud = self.decode(message)
                 scan = pointcloud2.to_scan(cloud, time_unit, time_field=time_field)
                 yield CloudFrame(message.stamp, cloud, scan, '')

@@ -119,6 +119,13 @@ def test_broken_kitti_folders(
     chosen = [*arguments, '--poses', str(kitti / 'poses_b.txt')]
     (kitti / 'calib.txt').write_text('P0: 1\n')
     assert 'expected a row "Tr:" with 12 numbers' in failure(capsys, chosen)
+    for text, message in (
+        ('Tr: 1 0 0 x', 'calib.txt Tr: could not convert'),
+        ('Tr: 1 0 0', 'calib.txt Tr: expected 12 numbers, found 3'),
+        ('Tr: 9 0 0 0 0 1 0 0 0 0 1 0', 'calib.txt Tr: expected a rigid 4x4 transform'),
+    ):
+        (kitti / 'calib.txt').write_text(text)
+        assert message in failure(capsys, chosen)
     (kitti / 'calib.txt').unlink()
     scan = kitti / 'velodyne' / '000002.bin'
     scan.write_bytes(scan.read_bytes()[:-4])

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import logging
 import sqlite3
+import struct
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -290,6 +291,24 @@ def test_stamps_of_zero_are_log_times(
     assert [f.scan.stamp for f in frames if f.scan] == STAMPS[:3]
     assert [s.sec * 10**9 + s.nanosec for s in raw] == STAMPS[:3]
     assert caplog.text.count('stamps of /points are zero: log times stand in') == 1
+
+
+def test_stamps_that_no_bag_holds(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match='a stamp of -1 s cannot be stored'):
+        write_one(tmp_path / 'a.mcap', -(10**9))
+    with pytest.raises(BagError, match='cannot be stored: expected 0 to 2147483648 s'):
+        write_one(tmp_path / 'a.mcap', 2**31 * 10**9)
+    topic, time, raw = cloud_bytes(1)[0]
+    raw = raw[:4] + struct.pack('<iI', -5, 0) + raw[12:]
+    write_mcap(tmp_path / 'b.mcap', [(topic, time, raw)], (POINT_CLOUD2, 'ros2msg', b''))
+    with open_bag(tmp_path / 'b.mcap') as bag:
+        (frame,) = bag.frames()
+    assert (frame.scan, frame.error) == (None, 'its stamp is negative: -5.000000 s')
+
+
+def write_one(path: Path, stamp: int) -> None:
+    with BagWriter(path) as writer:
+        writer.write_cloud('/points', stamp, 'lidar', room_cloud(0))
 
 
 def test_a_topic_without_messages(tmp_path: Path) -> None:

@@ -8,8 +8,9 @@ PY := $(VENV)/bin/python
 INPUTS := scripts/setup.sh setup.py constraints.txt
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export OMP_NUM_THREADS ?= 2
+export NO_MKDOCS_2_WARNING ?= 1
 
-.PHONY: help demo test test-slow bench goals lint colcon setup clean
+.PHONY: help demo test test-slow bench goals docs lint colcon setup clean
 
 help:  ## say what the targets do
 	@grep -E '^[a-z-]+:.*##' Makefile | sed 's/:.*##/ —/'
@@ -36,12 +37,16 @@ test-slow: $(VENV)/.ready-test  ## the long tests: colcon, transport, kill and r
 bench: $(VENV)/.ready-test  ## milliseconds per stage, side by side with the peers
 	$(VENV)/bin/hybridreg bench
 
-goals: $(VENV)/.ready-test  ## every row of the registration table of docs/results.md (hours)
+goals: $(VENV)/.ready-test  ## every row of the registration table of docs/results/registration.md (hours)
 	PATH="$(abspath $(VENV))/bin:$$PATH" bash scripts/goals.sh
 
-lint: $(VENV)/.ready-test  ## ruff and mypy, as CI runs them
+docs: $(VENV)/.ready-test  ## the documentation as a site, out/site/index.html
+	$(PY) -m mkdocs build --strict --quiet
+
+lint: $(VENV)/.ready-test  ## ruff, codespell and mypy, as CI runs them
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
+	$(PY) -m codespell_lib $(shell git ls-files 2>/dev/null)
 	$(PY) -m mypy
 
 colcon: $(VENV)/.ready-test  ## colcon build and colcon test in a workspace of their own

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""docs/: distributions and contact sheets of generated splits, and their table.
+"""docs/results/data.md: distributions and contact sheets of generated splits, and their table.
 
 python scripts/dataset_report.py data/test
 """
@@ -20,7 +20,7 @@ from hybridreg_ros.data.hybridmatch.preview import draw_sheet
 from hybridreg_ros.data.hybridmatch.room_pairs import SCENES
 from hybridreg_ros.data.hybridmatch.shards import open_split
 
-DOCS = Path(__file__).resolve().parents[1] / 'docs'
+RESULTS = Path(__file__).resolve().parents[1] / 'docs' / 'results'
 
 
 def cost_table(costs: list[dict[str, Any]]) -> str:
@@ -47,17 +47,17 @@ def main() -> None:
     for scene in SCENES:
         mine = [s for s in found if s.split.startswith(scene)]
         if mine:
-            draw_overview(mine, DOCS / f'hybridmatch_{scene}_distributions.png')
+            draw_overview(mine, RESULTS / f'hybridmatch_{scene}_distributions.png')
             pairs = [open_split(args.splits / s.split) for s in mine]
             shown = [p[min(args.row, len(p) - 1)] for p in pairs]
-            draw_sheet(shown, DOCS / f'hybridmatch_{scene}s.png')
-    (DOCS / 'results').mkdir(exist_ok=True)
+            draw_sheet(shown, RESULTS / f'hybridmatch_{scene}s.png')
+    RESULTS.mkdir(exist_ok=True)
     text = json.dumps([asdict(s) for s in found], indent=1) + '\n'
-    (DOCS / 'results' / 'dataset.json').write_text(text, encoding='utf-8')
-    put(DOCS / 'dataset.md', 'splits', overview_table(found))
-    cost = DOCS / 'results' / 'data_cost.json'
+    (RESULTS / 'dataset.json').write_text(text, encoding='utf-8')
+    put(RESULTS / 'data.md', 'splits', overview_table(found))
+    cost = RESULTS / 'data_cost.json'
     if cost.exists():
-        put(DOCS / 'dataset.md', 'cost', cost_table(json.loads(cost.read_text('utf-8'))['costs']))
+        put(RESULTS / 'data.md', 'cost', cost_table(json.loads(cost.read_text('utf-8'))['costs']))
 
 
 if __name__ == '__main__':

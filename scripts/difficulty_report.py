@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""docs/results.md: how hard the splits are for methods without a network, beside real pairs.
+"""docs/results/difficulty.md: the splits and recorded pairs by methods without a network.
 
     python scripts/difficulty_report.py out/fpfh-*.json out/kiss-matcher-*.json
 
@@ -24,7 +24,7 @@ from docs_tables import put
 from hybridreg_ros.data.hybridmatch.room_pairs import SPLITS
 from hybridreg_ros.metrics.registration import wilson_interval
 
-DOCS = Path(__file__).resolve().parents[1] / 'docs'
+RESULTS = Path(__file__).resolve().parents[1] / 'docs' / 'results'
 KEYS = ('pairs', 'RR', 'RR_95', 'RRE_deg', 'RTE_m')
 OURS = ('room-match-rigid', 'room-lomatch-rigid')
 BINS = (0.1, 0.2, 0.3, 0.4, 0.6, 1.0)
@@ -174,11 +174,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('files', type=Path, nargs='+', help='JSON files of hybridreg evaluate')
     found = collect(sorted(parser.parse_args().files))
-    (DOCS / 'results').mkdir(exist_ok=True)
+    RESULTS.mkdir(exist_ok=True)
     text = json.dumps(found, indent=1) + '\n'
-    (DOCS / 'results' / 'data_difficulty.json').write_text(text, encoding='utf-8')
-    put(DOCS / 'results.md', 'data-difficulty', table(found))
-    put(DOCS / 'results.md', 'data-difficulty-equal', equal_table(found))
+    (RESULTS / 'data_difficulty.json').write_text(text, encoding='utf-8')
+    put(RESULTS / 'difficulty.md', 'data-difficulty', table(found))
+    put(RESULTS / 'difficulty.md', 'data-difficulty-equal', equal_table(found))
 
 
 if __name__ == '__main__':

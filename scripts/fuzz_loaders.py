@@ -206,7 +206,7 @@ def damaged(data: bytes, rng: np.random.Generator, others: list[bytes]) -> tuple
     out = bytearray(data)
     n = max(len(out), 1)
     place = int(rng.integers(n))
-    size = int(min(rng.integers(1, 2 + n // 3), n - place))
+    size = min(int(rng.integers(1, 2 + n // 3)), n - place)
     if kind == 0:
         return bytes(out[:place]), True
     if kind == 1:
@@ -415,7 +415,7 @@ def fuzz(
     """
     counts: dict[str, Counter[str]] = {}
     bad: list[str] = []
-    cmd_register.HybridReg = StandIn  # type: ignore[misc,assignment]
+    vars(cmd_register)['HybridReg'] = StandIn
     signal.signal(signal.SIGPROF, stop)
     with tempfile.TemporaryDirectory() as scratch, warnings.catch_warnings():
         warnings.simplefilter('error', RuntimeWarning)

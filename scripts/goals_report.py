@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""docs/results.md: registration against its floors and goals.
+"""docs/results/registration.md: registration against its floors and goals.
 
     python scripts/goals_report.py out/hybridreg.json out/fpfh.json ... --bench out/bench.json
 
@@ -26,7 +26,7 @@ from hybridreg_ros.model.checkpoint import load_checkpoint, packaged_weights
 from hybridreg_ros.training.evaluate import GATE
 from hybridreg_ros.training.report import PairScore, score_from_plain
 
-DOCS = Path(__file__).resolve().parents[1] / 'docs'
+RESULTS = Path(__file__).resolve().parents[1] / 'docs' / 'results'
 REAL = ('pairs_3dmatch', 'pairs_7scenes_fragments')
 OURS = 'hybridreg'
 CLASSICAL = ('fpfh', 'kiss-matcher')
@@ -231,9 +231,9 @@ def main() -> None:
         for r in rows
     ]
     text = json.dumps({'rows': plain, 'sources': sources}, indent=1) + '\n'
-    (DOCS / 'results' / 'registration.json').write_text(text, encoding='utf-8')
-    put(DOCS / 'results.md', 'registration-goals', table(rows))
-    put(DOCS / 'results.md', 'registration-methods', methods_table(scores))
+    (RESULTS / 'registration.json').write_text(text, encoding='utf-8')
+    put(RESULTS / 'registration.md', 'registration-goals', table(rows))
+    put(RESULTS / 'registration.md', 'registration-methods', methods_table(scores))
     print(table(rows))
 
 

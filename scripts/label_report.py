@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Are the labels right? Measured on the first test pairs of each split, for docs/dataset.md."""
+"""docs/results/data.md: are the labels right? The first test pairs of each split tell."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """Measure, write docs/results/data_labels.json, and the table in docs/dataset.md."""
+    """Measure, write docs/results/data_labels.json, and the table in docs/results/data.md."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--pairs', type=int, default=50, help='of each split (default 50)')
     parser.add_argument('--keep', type=Path, default=Path('out/labels'), help='measured so far')
@@ -97,7 +97,7 @@ def main() -> None:
     folder.mkdir(exist_ok=True)
     text = json.dumps({'rows': rows, 'provenance': about}, indent=1) + '\n'
     (folder / 'data_labels.json').write_text(text, encoding='utf-8')
-    put(ROOT / 'docs' / 'dataset.md', 'labels', table(rows))
+    put(folder / 'data.md', 'labels', table(rows))
 
 
 if __name__ == '__main__':

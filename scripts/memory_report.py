@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""docs/results.md: how the resident memory of the front end grows over a looped sequence.
+"""docs/results/odometry.md: how the resident memory of the front end grows over a looped sequence.
 
 The scans of a sequence are played forth and back, network and all. The times of their points do
 not hold on the way back: the motion during each scan is undone by the true poses beforehand. One
@@ -24,13 +24,13 @@ from docs_tables import put
 
 from hybridreg_ros.benchmark import suite_data
 from hybridreg_ros.benchmark.suite_list import SEQUENCES
-from hybridreg_ros.benchmark.suite_memory import NAME, SETTLED, growth_mb, read
+from hybridreg_ros.benchmark.suite_memory import NAME, WARM_STEPS, growth_mb, read
 from hybridreg_ros.core import provenance
 from hybridreg_ros.core.pages import resident_mb
 from hybridreg_ros.core.scan import NS_PER_S, Scan
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.result import Source
-from hybridreg_ros.replay.session import build_front_end
+from hybridreg_ros.replay.session import open_front_end
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -69,13 +69,18 @@ def measure(clouds: Sequence[Scan], period_s: float, steps: int) -> dict[str, An
     Args:
         clouds: scans in order, sensor frame, metres.
         period_s: seconds from one to the next.
-        steps: scans to give it, more than `5 * SETTLED`.
+        steps: scans to give it, more than `5 * WARM_STEPS`.
 
     Returns:
         Resident memory in MB by step, and how many poses were the network's.
     """
-    marks = {SETTLED, 5 * SETTLED, *range(10 * SETTLED, steps, 10 * SETTLED), steps - 1}
-    odometry, found, by_network = build_front_end(OdometryConfig(), None), {}, 0
+    marks = {
+        WARM_STEPS,
+        5 * WARM_STEPS,
+        *range(10 * WARM_STEPS, steps, 10 * WARM_STEPS),
+        steps - 1,
+    }
+    odometry, found, by_network = open_front_end(OdometryConfig(), None), {}, 0
     for k in range(steps):
         points = clouds[looped(len(clouds), k)].points
         stamp = (1 + round(k * period_s * 1e3)) * (NS_PER_S // 1000)
@@ -90,13 +95,17 @@ def measure(clouds: Sequence[Scan], period_s: float, steps: int) -> dict[str, An
 def table(rows: dict[str, dict[str, Any]]) -> str:
     """Markdown of rows by sequence: what `measure` gives, `points` of a scan and `steps`."""
     lines = [
-        f'| sequence | points | steps | by network | MB after {SETTLED} steps | after '
-        f'{5 * SETTLED} | at the end | grown by |',
+        f'| sequence | points | steps | by network | MB after {WARM_STEPS} steps | after '
+        f'{5 * WARM_STEPS} | at the end | grown by |',
         '|---|---|---|---|---|---|---|---|',
     ]
     for name, row in sorted(rows.items()):
         at = row['resident_mb']
-        first, middle, last = at[str(SETTLED)], at[str(5 * SETTLED)], at[str(row['steps'] - 1)]
+        first, middle, last = (
+            at[str(WARM_STEPS)],
+            at[str(5 * WARM_STEPS)],
+            at[str(row['steps'] - 1)],
+        )
         lines.append(
             f'| {name} | {row["points"]:,} | {row["steps"]:,} | {row["by_network"]:,} '
             f'| {first:.1f} | {middle:.1f} | {last:.1f} | {growth_mb(row):.1f} |'
@@ -105,7 +114,7 @@ def table(rows: dict[str, dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """Measure, write docs/results/memory.json, and the table in docs/results.md."""
+    """Measure, write docs/results/memory.json, and the table in docs/results/odometry.md."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('sequence', help='of the benchmark or the development suite')
     parser.add_argument('--steps', type=int, default=10_000, help='above 500 (default 10,000)')
@@ -115,8 +124,8 @@ def main() -> None:
     args = parser.parse_args()
     if args.sequence not in SEQUENCES:
         parser.error(f'sequence: {args.sequence!r} is none of {", ".join(SEQUENCES)}')
-    if args.steps <= 5 * SETTLED:
-        parser.error(f'--steps: expected more than {5 * SETTLED}, found {args.steps}')
+    if args.steps <= 5 * WARM_STEPS:
+        parser.error(f'--steps: expected more than {5 * WARM_STEPS}, found {args.steps}')
     sequence = SEQUENCES[args.sequence]
     clouds = loop_of(sequence, args.data, args.cache)
     row = measure(clouds, sequence.period_s, args.steps)
@@ -126,7 +135,7 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     for path in (RESULTS, args.out / NAME):
         path.write_text(json.dumps(rows, indent=1) + '\n', encoding='utf-8')
-    put(ROOT / 'docs' / 'results.md', 'memory', table(rows))
+    put(ROOT / 'docs' / 'results' / 'odometry.md', 'memory', table(rows))
 
 
 if __name__ == '__main__':

@@ -53,13 +53,12 @@ if [ ! -x "$venv/bin/python" ] || ! "$venv/bin/python" -c 'import pip' 2>/dev/nu
   "$python" -m venv --clear "$venv"
 fi
 extras='ros,replay,data'
-[ "$purpose" = test ] && extras="$extras,bench,scale,test"
+[ "$purpose" = test ] && extras="$extras,bench,scale,test,docs"
 # An outer ROS wheel environment must not leak into this one.
 unset LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE PYTHONPATH
 pip() { "$venv/bin/python" -m pip --disable-pip-version-check -q "$@"; }
 say "installing Python packages for make $purpose (constraints.txt; the first time takes minutes)"
 pip install -c constraints.txt 'setuptools>=77.0.3,<80' wheel
-pip install -c constraints.txt 'torch==2.13.0'
 pip install -c constraints.txt --no-build-isolation -e ".[$extras]"
 if [ "$purpose" = test ]; then
   "$venv/bin/python" scripts/build_tf2_msgs.py --quiet \

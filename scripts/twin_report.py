@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""docs/results.md: what motion alone does to methods without a network.
+"""docs/results/difficulty.md: what motion alone does to methods without a network.
 
 Every pair of a 30-50 split is registered twice: as it is, and against the same target in which all
 stands as in the source. Scene, views, crop and background are the same; both poses are judged on
@@ -104,7 +104,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """Measure, write docs/results/data_twins.json, and the table in docs/results.md."""
+    """Measure, write docs/results/data_twins.json, and the table in docs/results/difficulty.md."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--pairs', type=int, default=50, help='of each split (default 50)')
     parser.add_argument('--keep', type=Path, default=Path('out/twins'), help='measured so far')
@@ -115,7 +115,7 @@ def main() -> None:
     about['command'] = f'scripts/twin_report.py --pairs {args.pairs}'
     text = json.dumps({'rows': rows, 'provenance': about}, indent=1) + '\n'
     (ROOT / 'docs' / 'results' / 'data_twins.json').write_text(text, encoding='utf-8')
-    put(ROOT / 'docs' / 'results.md', 'data-twins', table(rows))
+    put(ROOT / 'docs' / 'results' / 'difficulty.md', 'data-twins', table(rows))
 
 
 if __name__ == '__main__':

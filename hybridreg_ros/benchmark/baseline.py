@@ -26,8 +26,8 @@ RIVAL_VOXEL_M = {
     'genz-icp': {'depth': 0.06, 'lidar': 0.3},
     'small-gicp': {'depth': 0.1, 'lidar': 0.3},
 }
-"""Voxel edge that suits each rival, metres: the best of a sweep (docs/odometry.md), better than
-kiss-icp's own rule, a hundredth of the maximum range (0.08 and 1 m)."""
+"""Voxel edge that suits each rival, metres: the best of a sweep (docs/lab, 2026-11-22), better
+than kiss-icp's own rule, a hundredth of the maximum range (0.08 and 1 m)."""
 
 
 class _Pipeline(Protocol):

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from hybridreg_ros.benchmark.suite_data import SuiteFrame
     from hybridreg_ros.benchmark.suite_list import Sequence
 
-    Part = suite_fit.Evidences | suite_confidence.Claims
+    Part = suite_fit.EvidenceSamples | suite_confidence.ReportedSamples
     Tick = Callable[[], Any]
     Fitted = tuple[str, dict[str, Any]]
 
@@ -54,7 +54,7 @@ def evidence(args: argparse.Namespace, sequences: list[Sequence]) -> Fitted:
                 for stride, jolted in wanted
             }
             parts += _parts(args, sequence, mark, runs, shown.update)
-    found, quality = suite_fit.fit([suite_fit.Evidences.from_dict(p) for p in parts])
+    found, quality = suite_fit.fit([suite_fit.EvidenceSamples.from_dict(p) for p in parts])
     shown_first = {**found.evidence.to_dict(), 'covariance_scale': found.covariance_scale}
     return _written(args.fit, found, shown_first, quality)
 
@@ -74,13 +74,15 @@ def confidence(args: argparse.Namespace, sequences: list[Sequence]) -> Fitted:
     with bar(len(sequences) * len(strides), 'fit', 'run') as shown:
         for sequence in sequences:
             runs = {
-                f'claims/{sequence.name}__{stride}.json': partial(
+                f'confidence/{sequence.name}__{stride}.json': partial(
                     suite_confidence.gather, sequence, stride=stride, config=config, model=model
                 )
                 for stride in strides
             }
             parts += _parts(args, sequence, mark, runs, shown.update)
-    found, quality = suite_confidence.fit([suite_confidence.Claims.from_dict(p) for p in parts])
+    found, quality = suite_confidence.fit(
+        [suite_confidence.ReportedSamples.from_dict(p) for p in parts]
+    )
     return _written(args.fit_confidence, found, found.confidence.to_dict(), quality)
 
 
@@ -120,7 +122,7 @@ def _model(args: argparse.Namespace) -> Any:
 
 
 def _written(
-    path: Path, found: calibration.Calibration, fitted: Any, quality: dict[str, Any]
+    path: Path, found: calibration.OdometryCalibration, fitted: Any, quality: dict[str, Any]
 ) -> Fitted:
     write_json(path, found.to_dict())
     lines = json.dumps(fitted), json.dumps(quality), f'written: {path}'

@@ -17,7 +17,12 @@ from hybridreg_ros.metrics.calibration import expected_calibration_error, fit_lo
 from hybridreg_ros.odometry.config import GateConfig
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.result import Reason
-from hybridreg_ros.odometry.selection.calibration import CLAIM, Calibration, Logistic, packaged
+from hybridreg_ros.odometry.selection.calibration import (
+    REPORTED,
+    Logistic,
+    OdometryCalibration,
+    packaged,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence as Many
@@ -32,12 +37,12 @@ _RIDGE = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Claims:
+class ReportedSamples:
     """Poses of one sequence at one stride as they were reported.
 
     Attributes:
         sequence: its name.
-        features: (P, F) claims, in the order of CLAIM.
+        features: (P, F) features, in the order of REPORTED.
         right: (P,) whether each pose was right, as a score counts it.
     """
 
@@ -54,10 +59,10 @@ class Claims:
         }
 
     @staticmethod
-    def from_dict(values: dict[str, Any]) -> Claims:
+    def from_dict(values: dict[str, Any]) -> ReportedSamples:
         """The inverse of `to_dict`."""
-        features = np.array(values['features'], np.float64).reshape(-1, len(CLAIM))
-        return Claims(values['sequence'], features, np.array(values['right'], np.bool_))
+        features = np.array(values['features'], np.float64).reshape(-1, len(REPORTED))
+        return ReportedSamples(values['sequence'], features, np.array(values['right'], np.bool_))
 
 
 def gather(
@@ -66,7 +71,7 @@ def gather(
     stride: int,
     config: OdometryConfig,
     model: Any = 'auto',
-) -> Claims:
+) -> ReportedSamples:
     """Run the front end as in use and judge each pose that it reports by the truth.
 
     Args:
@@ -87,15 +92,15 @@ def gather(
             continue
         first = not known
         good, known = follow(known, here, sequence.limits)
-        if odometry.claim is not None and not first:
-            features.append([getattr(odometry.claim, name) for name in CLAIM])
+        if odometry.reported_confidence is not None and not first:
+            features.append([getattr(odometry.reported_confidence, name) for name in REPORTED])
             right.append(good)
-    return Claims(
-        sequence.name, np.array(features).reshape(-1, len(CLAIM)), np.array(right, np.bool_)
+    return ReportedSamples(
+        sequence.name, np.array(features).reshape(-1, len(REPORTED)), np.array(right, np.bool_)
     )
 
 
-def fit(parts: Many[Claims]) -> tuple[Calibration, dict[str, Any]]:
+def fit(parts: Many[ReportedSamples]) -> tuple[OdometryCalibration, dict[str, Any]]:
     """Packaged calibration with the confidence fitted anew, and its quality on sequences left out.
 
     Raises:
@@ -107,8 +112,10 @@ def fit(parts: Many[Claims]) -> tuple[Calibration, dict[str, Any]]:
         raise HybridRegError(f'nothing to fit: {int(right.sum())} of {len(right)} poses are right')
     model = fit_logistic(features, right, ridge=_RIDGE)
     told, truth, most = left_out(parts)
-    evident = sigmoid(features[:, CLAIM.index('evident')])
-    told = np.minimum(told, sigmoid(most[:, CLAIM.index('evident')]))  # as `Claim.confidence`
+    evident = sigmoid(features[:, REPORTED.index('evident')])
+    told = np.minimum(
+        told, sigmoid(most[:, REPORTED.index('evident')])
+    )  # as `ReportedConfidence.confidence`
     quality = {
         'poses': len(right),
         'right': int(right.sum()),
@@ -120,7 +127,7 @@ def fit(parts: Many[Claims]) -> tuple[Calibration, dict[str, Any]]:
     kept = packaged()
     found = replace(
         kept,
-        confidence=Logistic(model.bias, dict(zip(CLAIM, model.weights.tolist(), strict=True))),
+        confidence=Logistic(model.bias, dict(zip(REPORTED, model.weights.tolist(), strict=True))),
         provenance={**kept.provenance, 'confidence': {**how, **collect().to_dict()}},
     )
     return found, quality

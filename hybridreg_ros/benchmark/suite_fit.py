@@ -27,8 +27,8 @@ from hybridreg_ros.odometry.result import Reason, Source
 from hybridreg_ros.odometry.selection.calibration import (
     EVIDENCE,
     KINDS,
-    Calibration,
     Logistic,
+    OdometryCalibration,
     packaged,
 )
 
@@ -86,7 +86,7 @@ class Labelled(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Evidences:
+class EvidenceSamples:
     """What one sequence at one stride gives to a fit.
 
     Attributes:
@@ -112,9 +112,9 @@ class Evidences:
         }
 
     @staticmethod
-    def from_dict(values: dict[str, Any]) -> Evidences:
+    def from_dict(values: dict[str, Any]) -> EvidenceSamples:
         """The inverse of `to_dict`."""
-        return Evidences(
+        return EvidenceSamples(
             values['sequence'],
             np.array(values['features'], np.float64).reshape(-1, len(EVIDENCE)),
             np.array(values['right'], np.bool_),
@@ -128,7 +128,7 @@ def gather(
     stride: int,
     base: OdometryConfig,
     jolted: bool = True,
-) -> Evidences:
+) -> EvidenceSamples:
     """Run without a network and judge each pose that was considered by the truth.
 
     When jolted, every way of the fallback is tried and the predictions are off on purpose, else
@@ -174,7 +174,7 @@ def gather(
             last = result.pose, truth, result.covariance
         else:
             last = None
-    return Evidences(
+    return EvidenceSamples(
         sequence.name, np.array(features).reshape(-1, len(EVIDENCE)), np.array(right, np.bool_),
         np.array(nees[1:]),
     )  # fmt: skip
@@ -229,11 +229,11 @@ def _nees(last: tuple[F64, F64, F64], here: tuple[F64, F64, F64]) -> float:
     return float(error @ np.linalg.solve(spread, error))
 
 
-def fit(parts: Many[Evidences]) -> tuple[Calibration, dict[str, Any]]:
+def fit(parts: Many[EvidenceSamples]) -> tuple[OdometryCalibration, dict[str, Any]]:
     """Evidence and covariance from all parts; how good they are on sequences left out in turn.
 
     The confidence that is reported follows from the evidence: fit it again afterwards
-    (`suite_claims`).
+    (`suite_confidence`).
 
     Raises:
         HybridRegError: the poses considered were all right or all wrong.
@@ -257,7 +257,7 @@ def fit(parts: Many[Evidences]) -> tuple[Calibration, dict[str, Any]]:
     }
     how = {'how': 'hybridreg replay --suite dev --fit', **quality, **collect().to_dict()}
     kept = packaged()
-    found = Calibration(
+    found = OdometryCalibration(
         Logistic(model.bias, dict(zip(EVIDENCE, model.weights.tolist(), strict=True))),
         kept.confidence,
         scale,
@@ -266,14 +266,14 @@ def fit(parts: Many[Evidences]) -> tuple[Calibration, dict[str, Any]]:
     return found, quality
 
 
-def _by_kind(parts: Many[Evidences]) -> dict[str, list[F64]]:
+def _by_kind(parts: Many[EvidenceSamples]) -> dict[str, list[F64]]:
     kinds: dict[str, list[F64]] = {}
     for part in parts:
         kinds.setdefault('lidar' if 'street' in part.sequence else 'depth', []).append(part.nees)
     return kinds
 
 
-def _left_out(parts: Many[Evidences]) -> float | None:
+def _left_out(parts: Many[EvidenceSamples]) -> float | None:
     """ECE of confidences, each from a fit that did not see the sequence of the pose."""
     told, truth, _ = left_out(parts)
     if len(told) == 0:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 NAME = 'memory.json'
 """File in the folder of the results."""
-SETTLED = 100
+WARM_STEPS = 100
 """Steps after which growth counts: by then libraries are loaded and kernels compiled."""
 STEPS = 10_000
 """Steps of a loop that counts in the table of goals."""
@@ -42,6 +42,6 @@ def read(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def growth_mb(row: dict[str, Any]) -> float:
-    """By how many MB a loop grew from step `SETTLED` to its last, one value of `read`."""
+    """By how many MB a loop grew from step `WARM_STEPS` to its last, one value of `read`."""
     at = row['resident_mb']
-    return float(at[str(row['steps'] - 1)]) - float(at[str(SETTLED)])
+    return float(at[str(row['steps'] - 1)]) - float(at[str(WARM_STEPS)])

@@ -92,11 +92,11 @@ def _code_hash(package: str) -> str:
 
 def front_end(method: str, base: OdometryConfig, weights: Path | None) -> FrontEnd:
     """A fresh front end of a method."""
-    from hybridreg_ros.replay.session import build_front_end
+    from hybridreg_ros.replay.session import open_front_end
 
     if method in _RIVAL_PACKAGES:
         return Alone(method)
-    return build_front_end(config_of(method, base), weights)
+    return open_front_end(config_of(method, base), weights)
 
 
 def run_cell(

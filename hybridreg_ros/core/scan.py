@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,23 +12,22 @@ import numpy as np
 from hybridreg_ros.core.errors import PointCloudError
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
 NS_PER_S = 1_000_000_000
 _FARTHEST_M = 300.0
 NO_RETURN_M = 0.01
 """Nothing measures nearer than this: drivers write (0, 0, 0) where there was no return."""
-_NO_ROWS = np.empty(0, dtype=np.int64)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class Scan:
     """One cloud in the sensor frame. Every point is finite; all per-point fields share one order.
 
     Attributes:
         points: (N, 3) float32, sensor frame, metres, all finite.
         times: (N,) float64 seconds relative to `stamp`, or None when the sensor gives none.
-        stamp: int nanoseconds; a float given to the constructor is read as seconds.
+        stamp: nanoseconds.
         frame_id: name of the sensor frame.
         rows: (N,) int64, row of each point in its message (rows with NaN are skipped).
         size: number of rows of that message, dropped ones included.
@@ -39,48 +38,78 @@ class Scan:
     """
 
     points: NDArray[np.float32]
-    times: NDArray[np.float64] | None = None
-    stamp: int = 0
-    frame_id: str = ''
-    rows: NDArray[np.int64] = field(default_factory=lambda: _NO_ROWS)
-    size: int = -1
-    shape: tuple[int, int] = (0, 0)
-    near: int = 0
-    notes: tuple[str, ...] = ()
-    times_from: str = ''
+    times: NDArray[np.float64] | None
+    stamp: int
+    frame_id: str
+    rows: NDArray[np.int64]
+    size: int
+    shape: tuple[int, int]
+    near: int
+    notes: tuple[str, ...]
+    times_from: str
 
-    def __post_init__(self) -> None:
+    def __init__(  # noqa: PLR0913, PLR0917 - one argument a field
+        self,
+        points: ArrayLike,
+        times: ArrayLike | None = None,
+        stamp: float = 0,
+        frame_id: str = '',
+        rows: NDArray[np.int64] | None = None,
+        size: int = -1,
+        shape: tuple[int, int] = (0, 0),
+        notes: tuple[str, ...] = (),
+        near: int = 0,
+        times_from: str = '',
+    ) -> None:
         """Normalise types; fill `rows`, `size`, `shape` when they are not given.
+
+        Args:
+            points: (N, 3) floats.
+            times: (N,) floats, or None.
+            stamp: an int is read as nanoseconds, a float as seconds.
+            frame_id: name of the sensor frame.
+            rows: None counts the points.
+            size: -1 means N.
+            shape: (0, 0) means (1, size).
+            notes: one line each.
+            near: rows left out for their range.
+            times_from: where the times come from.
 
         Raises:
             PointCloudError: points are not (N, 3) or not finite, or a per-point field has another
                 length.
         """
-        points = np.ascontiguousarray(self.points, dtype=np.float32)
-        if points.ndim != 2 or points.shape[1] != 3:
-            raise PointCloudError(f'points must be (N, 3), found {points.shape}')
-        if not np.isfinite(points).all():
+        cloud = np.ascontiguousarray(points, dtype=np.float32)
+        if cloud.ndim != 2 or cloud.shape[1] != 3:
+            raise PointCloudError(f'points must be (N, 3), found {cloud.shape}')
+        if not np.isfinite(cloud).all():
             raise PointCloudError(
                 'points hold NaN or inf: drop them first (core.pointcloud2.to_scan does)'
             )
-        n = len(points)
-        object.__setattr__(self, 'points', points)
-        stamp: int | float = self.stamp
-        if isinstance(stamp, float):
-            object.__setattr__(self, 'stamp', round(stamp * NS_PER_S))
-        if self.times is not None:
-            times = np.ascontiguousarray(self.times, dtype=np.float64)
+        n = len(cloud)
+        if times is not None:
+            times = np.ascontiguousarray(times, dtype=np.float64)
             if times.shape != (n,):
                 raise PointCloudError(f'times must be ({n},), found {times.shape}')
-            object.__setattr__(self, 'times', times)
-        if self.rows is _NO_ROWS:
-            object.__setattr__(self, 'rows', np.arange(n, dtype=np.int64))
-        elif np.shape(self.rows) != (n,):
-            raise PointCloudError(f'rows must be ({n},), found {np.shape(self.rows)}')
-        if self.size < 0:
-            object.__setattr__(self, 'size', n)
-        if self.shape == (0, 0):
-            object.__setattr__(self, 'shape', (1, self.size))
+        if rows is None:
+            rows = np.arange(n, dtype=np.int64)
+        elif np.shape(rows) != (n,):
+            raise PointCloudError(f'rows must be ({n},), found {np.shape(rows)}')
+        size = n if size < 0 else size
+        values = {
+            'points': cloud,
+            'times': times,
+            'stamp': round(stamp * NS_PER_S) if isinstance(stamp, float) else stamp,
+            'frame_id': frame_id,
+            'rows': rows,
+            'size': size,
+            'shape': (1, size) if shape == (0, 0) else shape,
+            'near': near,
+            'notes': notes,
+            'times_from': times_from,
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
 
     def __len__(self) -> int:
         """Number of valid points N."""

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     F64 = NDArray[np.float64]
 
+Real = TypeVar('Real', bound='np.floating[Any]')
 _SMALL_ANGLE_RAD = 1e-7
 
 
@@ -38,7 +39,7 @@ def inverse(T: F64) -> F64:
     return transform(R.T, -R.T @ t)
 
 
-def apply(T_target_source: F64, points: NDArray[np.floating]) -> NDArray[np.floating]:
+def apply(T_target_source: F64, points: NDArray[Real]) -> NDArray[Real]:
     """Move points from the source to the target frame.
 
     Args:
@@ -50,7 +51,7 @@ def apply(T_target_source: F64, points: NDArray[np.floating]) -> NDArray[np.floa
     """
     R = T_target_source[:3, :3].astype(points.dtype)
     t = T_target_source[:3, 3].astype(points.dtype)
-    moved: NDArray[np.floating] = points @ R.T + t
+    moved: NDArray[Real] = points @ R.T + t
     return moved
 
 

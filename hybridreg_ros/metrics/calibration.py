@@ -63,8 +63,9 @@ def reliability(confidence: NDArray[np.floating], right: Bools, bins: int = 10) 
     Raises:
         ValueError: lengths differ or a confidence lies outside [0, 1].
 
-    >>> reliability(np.array([0.1, 0.9]), np.array([False, True]), bins=2).accuracy.tolist()
-    [0.0, 1.0]
+    Examples:
+        >>> reliability(np.array([0.1, 0.9]), np.array([False, True]), bins=2).accuracy.tolist()
+        [0.0, 1.0]
     """
     c, r = _checked(confidence, right)
     index = np.minimum((c * bins).astype(np.int64), bins - 1)
@@ -88,8 +89,9 @@ def expected_calibration_error(
     Raises:
         ValueError: lengths differ or a confidence lies outside [0, 1].
 
-    >>> round(expected_calibration_error(np.array([0.8, 0.8]), np.array([True, False])), 6)
-    0.3
+    Examples:
+        >>> round(expected_calibration_error(np.array([0.8, 0.8]), np.array([True, False])), 6)
+        0.3
     """
     diagram = reliability(confidence, right, bins)
     total = int(diagram.results.sum())
@@ -105,8 +107,9 @@ def risk_coverage(confidence: NDArray[np.floating], right: Bools) -> RiskCoverag
     Raises:
         ValueError: lengths differ or a confidence lies outside [0, 1].
 
-    >>> risk_coverage(np.array([0.2, 0.9]), np.array([False, True])).risk.tolist()
-    [0.0, 0.5]
+    Examples:
+        >>> risk_coverage(np.array([0.2, 0.9]), np.array([False, True])).risk.tolist()
+        [0.0, 0.5]
     """
     c, r = _checked(confidence, right)
     order = np.argsort(-c, kind='stable')
@@ -118,8 +121,9 @@ def risk_coverage(confidence: NDArray[np.floating], right: Bools) -> RiskCoverag
 def wrong_above(confidence: NDArray[np.floating], right: Bools, gate: float) -> float:
     """Share of all results that are wrong and yet have a confidence of at least the gate.
 
-    >>> wrong_above(np.array([0.9, 0.9, 0.1, 0.2]), np.array([True, False, True, False]), 0.5)
-    0.25
+    Examples:
+        >>> wrong_above(np.array([0.9, 0.9, 0.1, 0.2]), np.array([True, False, True, False]), 0.5)
+        0.25
     """
     c, r = _checked(confidence, right)
     return float(np.mean((c >= gate) & (r < 0.5))) if len(c) else float('nan')
@@ -128,8 +132,9 @@ def wrong_above(confidence: NDArray[np.floating], right: Bools, gate: float) -> 
 def sigmoid(x: NDArray[np.floating]) -> F64:
     """Logistic function without overflow.
 
-    >>> sigmoid(np.array([-1000.0, 0.0, 1000.0])).tolist()
-    [0.0, 0.5, 1.0]
+    Examples:
+        >>> sigmoid(np.array([-1000.0, 0.0, 1000.0])).tolist()
+        [0.0, 0.5, 1.0]
     """
     result: F64 = 0.5 * (1.0 + np.tanh(0.5 * np.asarray(x, dtype=np.float64)))
     return result
@@ -152,10 +157,11 @@ def fit_logistic(
     Raises:
         ValueError: fewer than two results, one outcome only, or features that are not finite.
 
-    >>> x = np.array([[0.0], [1.0], [2.0], [3.0]])
-    >>> fit = fit_logistic(x, np.array([False, True, False, True]))
-    >>> bool(fit.weights[0] > 0)
-    True
+    Examples:
+        >>> x = np.array([[0.0], [1.0], [2.0], [3.0]])
+        >>> fit = fit_logistic(x, np.array([False, True, False, True]))
+        >>> bool(fit.weights[0] > 0)
+        True
     """
     x = np.asarray(features, dtype=np.float64)
     y = np.asarray(right, dtype=np.float64)

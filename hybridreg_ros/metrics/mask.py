@@ -25,8 +25,9 @@ class MaskCounts:
         fn: moving points called static.
         tn: static points called static.
 
-    >>> MaskCounts(1, 2, 3, 4) + MaskCounts(1, 0, 0, 0)
-    MaskCounts(tp=2, fp=2, fn=3, tn=4)
+    Examples:
+        >>> MaskCounts(1, 2, 3, 4) + MaskCounts(1, 0, 0, 0)
+        MaskCounts(tp=2, fp=2, fn=3, tn=4)
     """
 
     tp: int = 0
@@ -77,8 +78,9 @@ def count(predicted: NDArray[Any], truth: NDArray[Any]) -> MaskCounts:
     Raises:
         ValueError: the arrays differ in shape or are not one value per point.
 
-    >>> count(np.array([True, True, False, False]), np.array([True, False, True, False]))
-    MaskCounts(tp=1, fp=1, fn=1, tn=1)
+    Examples:
+        >>> count(np.array([True, True, False, False]), np.array([True, False, True, False]))
+        MaskCounts(tp=1, fp=1, fn=1, tn=1)
     """
     p, t = np.asarray(predicted, dtype=bool), np.asarray(truth, dtype=bool)
     if p.shape != t.shape or p.ndim != 1:
@@ -94,8 +96,9 @@ def count(predicted: NDArray[Any], truth: NDArray[Any]) -> MaskCounts:
 def score(counts: MaskCounts) -> MaskScore:
     """Quotients of confusion counts.
 
-    >>> score(MaskCounts(tp=6, fp=2, fn=2, tn=90)).iou
-    0.6
+    Examples:
+        >>> score(MaskCounts(tp=6, fp=2, fn=2, tn=90)).iou
+        0.6
     """
     return MaskScore(
         iou=_ratio(counts.tp, counts.tp + counts.fp + counts.fn),
@@ -114,11 +117,12 @@ def _ratio(part: int, whole: int) -> float:
 class MaskAccumulator:
     """Counts over many frames.
 
-    >>> accumulator = MaskAccumulator()
-    >>> accumulator.update(np.array([True, False]), np.array([True, True]))
-    >>> accumulator.update(np.array([True]), np.array([True]))
-    >>> accumulator.compute().recall
-    0.6666666666666666
+    Examples:
+        >>> accumulator = MaskAccumulator()
+        >>> accumulator.update(np.array([True, False]), np.array([True, True]))
+        >>> accumulator.update(np.array([True]), np.array([True]))
+        >>> accumulator.compute().recall
+        0.6666666666666666
     """
 
     def __init__(self) -> None:

@@ -31,10 +31,11 @@ def rotation_error_deg(T_true: F64, T_estimate: F64) -> float:
         T_true: (4, 4).
         T_estimate: (4, 4).
 
-    >>> import numpy as np
-    >>> T = np.eye(4); T[:2, :2] = [[0.0, -1.0], [1.0, 0.0]]
-    >>> round(rotation_error_deg(np.eye(4), T), 6)
-    90.0
+    Examples:
+        >>> import numpy as np
+        >>> T = np.eye(4); T[:2, :2] = [[0.0, -1.0], [1.0, 0.0]]
+        >>> round(rotation_error_deg(np.eye(4), T), 6)
+        90.0
     """
     return se3.rotation_angle_deg(T_true[:3, :3].T @ T_estimate[:3, :3])
 
@@ -42,10 +43,11 @@ def rotation_error_deg(T_true: F64, T_estimate: F64) -> float:
 def translation_error_m(T_true: F64, T_estimate: F64) -> float:
     """RTE: distance between the translations of two transforms (4, 4), metres.
 
-    >>> import numpy as np
-    >>> T = np.eye(4); T[:3, 3] = [3.0, 0.0, 4.0]
-    >>> translation_error_m(np.eye(4), T)
-    5.0
+    Examples:
+        >>> import numpy as np
+        >>> T = np.eye(4); T[:3, 3] = [3.0, 0.0, 4.0]
+        >>> translation_error_m(np.eye(4), T)
+        5.0
     """
     return float(np.linalg.norm(T_true[:3, 3] - T_estimate[:3, 3]))
 
@@ -61,10 +63,11 @@ def rmse_m(T_true: F64, T_estimate: F64, points: Points) -> float:
     Returns:
         The error; inf when there is no point to measure it on.
 
-    >>> import numpy as np
-    >>> T = np.eye(4); T[0, 3] = 0.5
-    >>> rmse_m(np.eye(4), T, np.ones((4, 3)))
-    0.5
+    Examples:
+        >>> import numpy as np
+        >>> T = np.eye(4); T[0, 3] = 0.5
+        >>> rmse_m(np.eye(4), T, np.ones((4, 3)))
+        0.5
     """
     if len(points) == 0:
         return float('inf')
@@ -82,8 +85,9 @@ def registration_recall(
         rmse_values_m: (P,) metres; inf or NaN count as failed.
         threshold_m: 0.2 m indoors, 0.5 m for ETH.
 
-    >>> registration_recall(np.array([0.05, 0.3, np.inf, 0.1]))
-    0.5
+    Examples:
+        >>> registration_recall(np.array([0.05, 0.3, np.inf, 0.1]))
+        0.5
     """
     values = np.asarray(rmse_values_m, dtype=np.float64)
     return float(np.mean(values < threshold_m)) if len(values) else float('nan')
@@ -100,8 +104,9 @@ def residuals_m(T_true: F64, source: Points, target: Points) -> F64:
     Returns:
         (K,) metres.
 
-    >>> residuals_m(np.eye(4), np.zeros((1, 3)), np.array([[0.0, 3.0, 4.0]])).tolist()
-    [5.0]
+    Examples:
+        >>> residuals_m(np.eye(4), np.zeros((1, 3)), np.array([[0.0, 3.0, 4.0]])).tolist()
+        [5.0]
     """
     moved = se3.apply(T_true, np.asarray(source, dtype=np.float64))
     distances: F64 = np.linalg.norm(moved - np.asarray(target, dtype=np.float64), axis=1)
@@ -113,8 +118,9 @@ def inlier_ratio(
 ) -> float:
     """IR: share of correspondences (K, 3), (K, 3) closer than the threshold; 0 for none.
 
-    >>> inlier_ratio(np.eye(4), np.zeros((2, 3)), np.array([[0.05, 0, 0], [1.0, 0, 0]]))
-    0.5
+    Examples:
+        >>> inlier_ratio(np.eye(4), np.zeros((2, 3)), np.array([[0.05, 0, 0], [1.0, 0, 0]]))
+        0.5
     """
     if len(source) == 0:
         return 0.0
@@ -126,8 +132,9 @@ def feature_matching_recall(
 ) -> float:
     """FMR: share of pairs whose inlier ratio is above the threshold; NaN for no pairs.
 
-    >>> feature_matching_recall(np.array([0.2, 0.04]))
-    0.5
+    Examples:
+        >>> feature_matching_recall(np.array([0.2, 0.04]))
+        0.5
     """
     values = np.asarray(inlier_ratios, dtype=np.float64)
     return float(np.mean(values > threshold)) if len(values) else float('nan')
@@ -147,8 +154,9 @@ def coarse_precision(
         target_index: (K,) selected target superpoints.
         threshold: overlap above which a pair is right.
 
-    >>> coarse_precision(np.array([[0.4, 0.0]]), np.array([0, 0]), np.array([0, 1]))
-    0.5
+    Examples:
+        >>> coarse_precision(np.array([[0.4, 0.0]]), np.array([0, 0]), np.array([0, 1]))
+        0.5
     """
     if len(source_index) == 0:
         return 0.0
@@ -165,8 +173,9 @@ def roc_auc(positive: NDArray[np.bool_], score: NDArray[np.floating]) -> float:
     Returns:
         The area; NaN when one class is missing.
 
-    >>> roc_auc(np.array([True, False]), np.array([0.9, 0.1]))
-    1.0
+    Examples:
+        >>> roc_auc(np.array([True, False]), np.array([0.9, 0.1]))
+        1.0
     """
     truth = np.asarray(positive, dtype=bool)
     n_pos = int(truth.sum())
@@ -196,8 +205,9 @@ def bootstrap_interval(
     Returns:
         (low, high); NaN for no values.
 
-    >>> bootstrap_interval(np.ones(5))
-    (1.0, 1.0)
+    Examples:
+        >>> bootstrap_interval(np.ones(5))
+        (1.0, 1.0)
     """
     v = np.asarray(values, dtype=np.float64)
     if len(v) == 0:
@@ -215,8 +225,9 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     Returns:
         (low, high); NaN for no trials.
 
-    >>> [round(v, 3) for v in wilson_interval(50, 100)]
-    [0.404, 0.596]
+    Examples:
+        >>> [round(v, 3) for v in wilson_interval(50, 100)]
+        [0.404, 0.596]
     """
     if trials == 0:
         return float('nan'), float('nan')

@@ -128,9 +128,10 @@ class TrajectoryScore:
 def path_lengths(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """Distance travelled up to each pose (N,), metres.
 
-    >>> poses = np.tile(np.eye(4), (3, 1, 1)); poses[:, 0, 3] = [0.0, 1.0, 3.0]
-    >>> path_lengths(poses).tolist()
-    [0.0, 1.0, 3.0]
+    Examples:
+        >>> poses = np.tile(np.eye(4), (3, 1, 1)); poses[:, 0, 3] = [0.0, 1.0, 3.0]
+        >>> path_lengths(poses).tolist()
+        [0.0, 1.0, 3.0]
     """
     steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     return np.concatenate([np.zeros(min(1, len(poses))), np.cumsum(steps)])
@@ -194,9 +195,10 @@ def step_errors(
         Translation (N - 1,) in metres and rotation (N - 1,) in degrees of
         inverse(reference step) * (estimated step).
 
-    >>> still = np.tile(np.eye(4), (2, 1, 1)); moved = still.copy(); moved[1, 0, 3] = 0.5
-    >>> [e.tolist() for e in step_errors(moved, still)]
-    [[0.5], [0.0]]
+    Examples:
+        >>> still = np.tile(np.eye(4), (2, 1, 1)); moved = still.copy(); moved[1, 0, 3] = 0.5
+        >>> [e.tolist() for e in step_errors(moved, still)]
+        [[0.5], [0.0]]
     """
     metres, degrees = [], []
     for i in range(len(estimate) - 1):

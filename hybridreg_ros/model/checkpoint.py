@@ -20,7 +20,7 @@ from hybridreg_ros.core.config import from_dict, to_dict
 from hybridreg_ros.core.errors import ConfigError, WeightsError
 from hybridreg_ros.model.config import ModelConfig
 from hybridreg_ros.model.network.network import HybridRegNet
-from hybridreg_ros.model.pose.confidence import Calibration
+from hybridreg_ros.model.pose.confidence import PairCalibration
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -41,7 +41,7 @@ class Checkpoint:
     """
 
     network: HybridRegNet
-    calibration: Calibration
+    calibration: PairCalibration
     provenance: Mapping[str, Any] = field(default_factory=dict)
     path: str = ''
 
@@ -50,7 +50,7 @@ def save_network(
     path: str | Path,
     network: HybridRegNet,
     provenance: Mapping[str, Any],
-    calibration: Calibration | None = None,
+    calibration: PairCalibration | None = None,
     half: bool = False,
 ) -> None:
     """Write a weights file.
@@ -70,7 +70,7 @@ def save_network(
     metadata = {
         'format': FORMAT,
         'config': json.dumps(to_dict(network.config)),
-        'calibration': json.dumps(to_dict(calibration or Calibration())),
+        'calibration': json.dumps(to_dict(calibration or PairCalibration())),
         'provenance': json.dumps(dict(provenance)),
     }
     try:
@@ -103,7 +103,9 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
     try:
         config = from_dict(ModelConfig, json.loads(metadata['config']))
         stored = json.loads(metadata['calibration'])
-        calibration = from_dict(Calibration, stored) if stored.get('fitted') else Calibration()
+        calibration = (
+            from_dict(PairCalibration, stored) if stored.get('fitted') else PairCalibration()
+        )
         provenance = json.loads(metadata['provenance'])
     except (KeyError, ValueError, ConfigError) as error:
         raise WeightsError(f'{path} has unreadable metadata: {_one_line(error)}') from None

@@ -17,7 +17,7 @@ _LINE = 64
 """Bytes at whose multiples arrays start, as the allocator of torch has it."""
 
 
-def settled(value: _T) -> _T:
+def compacted(value: _T) -> _T:
     """The same value with its arrays and tensors side by side in pages of their own.
 
     Kept on the heap of the C library, they leave holes between them into which later, larger ones

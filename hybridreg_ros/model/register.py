@@ -18,14 +18,14 @@ from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.model.budget import Budget
 from hybridreg_ros.model.budget import voxel_size_m as chosen_voxel_m
 from hybridreg_ros.model.checkpoint import load_checkpoint, packaged_weights
-from hybridreg_ros.model.compact_memory import settled
+from hybridreg_ros.model.compact_memory import compacted
 from hybridreg_ros.model.encoded import EncodedCloud
 from hybridreg_ros.model.geometry.pyramid import build_pyramid, metric_transform, voxel_transform
 from hybridreg_ros.model.geometry.upsampling import values_of_inputs
 from hybridreg_ros.model.network import forward
 from hybridreg_ros.model.network.estimators import judged
 from hybridreg_ros.model.network.network import HybridRegNet
-from hybridreg_ros.model.pose.confidence import Calibration, features_of
+from hybridreg_ros.model.pose.confidence import PairCalibration, features_of
 from hybridreg_ros.model.pose.evidence import evidence_of, trusted_fit
 from hybridreg_ros.model.pose.posterior import posterior_sigma2
 from hybridreg_ros.model.pose.refine import refine
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from hybridreg_ros.model.geometry.pyramid import Pyramid
     from hybridreg_ros.model.network.estimators import PoseEstimate
     from hybridreg_ros.model.network.network import Encoding, MatchOutput
-    from hybridreg_ros.model.pose.evidence import Evidence
+    from hybridreg_ros.model.pose.evidence import CloudEvidence
     from hybridreg_ros.model.pose.refine import Refinement
     from hybridreg_ros.model.pose.verify import Verified
 
@@ -65,15 +65,16 @@ from typing import TYPE_CHECKING
 class HybridReg:
     """Registration of two clouds of a scene in which things may move.
 
-    >>> model = HybridReg.from_pretrained()  # doctest: +SKIP
-    >>> model.register(source, target).T_target_source  # doctest: +SKIP
+    Examples:
+        >>> model = HybridReg.from_pretrained()  # doctest: +SKIP
+        >>> model.register(source, target).T_target_source  # doctest: +SKIP
     """
 
     def __init__(
         self,
         config: ModelConfig,
         net: HybridRegNet | None = None,
-        calibration: Calibration | None = None,
+        calibration: PairCalibration | None = None,
     ) -> None:
         """Wrap a network; without `net` one with random weights is made (tests, training).
 
@@ -84,7 +85,7 @@ class HybridReg:
         """
         self.config = config
         self.net = (HybridRegNet(config) if net is None else net).eval()
-        self.calibration = calibration or Calibration()
+        self.calibration = calibration or PairCalibration()
         self.provenance: Mapping[str, object] = {}
 
     @classmethod
@@ -124,7 +125,7 @@ class HybridReg:
         cloud = _as_cloud(points)
         if voxel_size_m is None:
             voxel_size_m = self._voxel_m(cloud, budget=budget)
-        return settled(self._encoded(cloud, float(voxel_size_m), start))
+        return compacted(self._encoded(cloud, float(voxel_size_m), start))
 
     def _encoded(
         self, cloud: NDArray[np.float32], voxel_size_m: float, start: float
@@ -292,7 +293,7 @@ class HybridReg:
         estimate: PoseEstimate,
         refined: Refinement,
         verified: Verified | None,
-        evidence: tuple[Evidence, Evidence],
+        evidence: tuple[CloudEvidence, CloudEvidence],
     ) -> RegistrationResult:
         """Everything that users get, without timings."""
         a, b = source.encoding.pyramid, target.encoding.pyramid

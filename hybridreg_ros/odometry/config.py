@@ -259,18 +259,18 @@ class RefineConfig(Section):
     young: float = option(
         0.1, 'weight of a surface that was first seen in the last scan', low=0.0, high=1.0
     )
-    sway: bool = option(
+    intra_scan: bool = option(
         True, 'find the uneven motion during a scan along with its pose when points carry times'
     )
-    sway_iterations: int = option(6, 'most pairings for that', low=1, high=50)
-    sway_speed: float = option(
+    intra_scan_iterations: int = option(6, 'most pairings for that', low=1, high=50)
+    intra_scan_speed: float = option(
         0.12, 'standard deviation of the velocity off the predicted one, m/s', low=1e-3, high=100.0
     )
-    sway_turn_deg: float = option(
+    intra_scan_turn_deg: float = option(
         3.0, 'the same of the angular velocity, degrees/s, before it is known how that varies',
         low=1e-2, high=1000.0,
     )  # fmt: skip
-    sway_follow: float = option(
+    intra_scan_follow: float = option(
         0.35, 'the same once that is known, as a share of its usual change from scan to scan; 0 = '
         'always as above',
         low=0.0, high=10.0,
@@ -316,7 +316,7 @@ class FallbackConfig(Section):
     searched: int = option(
         3, 'guesses of a wide search that are followed up while in doubt', low=0, high=100
     )
-    polish: bool = option(
+    plane_icp: bool = option(
         True, 'refine its pose point to plane against the same map, as poses of the network are'
     )
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from hybridreg_ros.odometry.intake import Intake
 from hybridreg_ros.odometry.motion.prediction import Motion
 from hybridreg_ros.odometry.preprocess import preprocess, recognise_sensor
 from hybridreg_ros.odometry.registration import covariance
-from hybridreg_ros.odometry.result import OdometryResult, Reason, Source, Watch
+from hybridreg_ros.odometry.result import OdometryResult, Reason, Rest, Source, Watch
 from hybridreg_ros.odometry.tracker import Tracker
 
 if TYPE_CHECKING:
@@ -27,10 +28,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.core.scan import Scan
-    from hybridreg_ros.odometry.preprocessed import Cloud
+    from hybridreg_ros.odometry.preprocessed import PreprocessedScan
     from hybridreg_ros.odometry.selection.candidates import Candidate
-    from hybridreg_ros.odometry.selection.reported_confidence import Claim
-    from hybridreg_ros.odometry.tracker import Estimate
+    from hybridreg_ros.odometry.selection.reported_confidence import ReportedConfidence
+    from hybridreg_ros.odometry.tracker import Estimate, Update
 
 _log = logging.getLogger(__name__)
 
@@ -50,7 +51,7 @@ class HybridOdometry:
 
     Attributes:
         config: settings.
-        claim: what the confidence of the last scan follows from, None where it is 0 (for fitting).
+        reported_confidence: of the last scan, with what it follows from; None where it is 0.
 
     Raises:
         ConfigError: `model` is something else.
@@ -68,6 +69,7 @@ class HybridOdometry:
         self._registrar = network_branch.load(model) if wants_network else None
         self._make_motion = motion
         self._intake = Intake(self.config.input)
+        self._rest: Rest | None = None
         self.reset()
 
     @property
@@ -87,43 +89,69 @@ class HybridOdometry:
 
     def reset(self) -> None:
         """Forget pose, map and keyframes; the next usable scan defines the odom frame anew."""
+        self._finish()
         self._intake.reset()
-        self.claim: Claim | None = None
+        self.reported_confidence: ReportedConfidence | None = None
         self._motion = self._make_motion()
         self._tracker: Tracker | None = None
         self._keyframe_id = 0
         self._last_pose = self._motion.pose
 
-    def step(
-        self, scan: Scan, early: Callable[[OdometryResult], None] | None = None
-    ) -> OdometryResult:
+    def step(self, scan: Scan) -> OdometryResult:
         """Take one scan.
 
         It never raises for what a sensor may send: odd stamps, empty or absurd clouds give a
         result that says so.
+        """
+        return self.locate(scan)[1]()
+
+    def locate(self, scan: Scan) -> tuple[OdometryResult, Rest]:
+        """Take one scan, in two parts: its pose at once, mask, map and keyframes afterwards.
+
+        A scan is preprocessed and encoded while the rest of the scan before is still being made
+        in another thread; its pose is looked for after that. So the results are those of `step`.
 
         Args:
             scan: the scan.
-            early: called as soon as the pose is known, before mask, map and keyframes are made:
-                the same result but for `dynamic_probability` (zeros), what it says of keyframes,
-                and the timings. Not called for a scan that is refused.
+
+        Returns:
+            What is known with the pose: `dynamic_probability` is 0 everywhere, and it is no
+            keyframe yet. The rest, which makes and returns the whole result; to be called once, in
+            any thread (the next `locate` calls it if nobody did).
         """
-        watch, self.claim = Watch(), None
+        watch, self.reported_confidence = Watch(), None
         fault = self._intake.check(scan)
         if fault is not None and not self._rebase(scan, fault):
-            return self._refusal(scan, fault, watch)
+            refusal = self._refusal(scan, fault, watch)
+            return refusal, Rest(lambda: refusal)
         cloud = self._prepare(scan)
         watch.lap('preprocess')
         if cloud is None or self._tracker is None:
-            result, update = self._without_map(scan, watch), None
-        else:
-            stamp = scan.stamp + round(cloud.instant_s * NS_PER_S)
-            estimate = self._tracker.step(cloud, stamp, watch)
-            result, update = self._result(scan, cloud, estimate, fault, watch), estimate.update
-        if early is not None:
-            early(result)
+            nothing = self._without_map(scan, watch)
+            return nothing, Rest(lambda: nothing)
+        encoding = self._tracker.encode(cloud)
+        watch.lap('encode')
+        self._finish()
+        watch.resume()
+        stamp = scan.stamp + round(cloud.instant_s * NS_PER_S)
+        estimate = self._tracker.step(cloud, encoding, stamp, watch)
+        result = self._result(scan, cloud, estimate, fault, watch)
+        self._rest = Rest(partial(self._completed, result, estimate.update, watch))
+        return result, self._rest
+
+    def _finish(self) -> None:
+        """Have the rest of the last scan done, here or wherever it was begun."""
+        if self._rest is not None:
+            self._rest.wait()
+            self._rest = None
+
+    def _completed(
+        self, result: OdometryResult, update: Callable[[Watch], Update] | None, watch: Watch
+    ) -> OdometryResult:
+        """The result with what its scan tells the world."""
         if update is None:
             return result
+        watch.resume()
         made = update(watch)
         self._keyframe_id = made.keyframe_id
         return replace(result, timings_s=watch.laps(), **made._asdict())
@@ -147,7 +175,7 @@ class HybridOdometry:
         self._motion.stop(scan.stamp)
         return True
 
-    def _prepare(self, scan: Scan) -> Cloud | None:
+    def _prepare(self, scan: Scan) -> PreprocessedScan | None:
         """Preprocessed cloud; None while no scan has shown what the sensor is."""
         if self._tracker is None:
             sensor = recognise_sensor(scan.points, self.config)
@@ -195,7 +223,7 @@ class HybridOdometry:
             timings_s=watch.laps(),
         )
 
-    def _reported(self, estimate: Estimate, cloud: Cloud) -> NDArray[np.float64]:
+    def _reported(self, estimate: Estimate, cloud: PreprocessedScan) -> NDArray[np.float64]:
         """Pose at the instant that is asked for, from that of the registered cloud."""
         pose, ahead = estimate.pose, cloud.reported_s - cloud.instant_s
         if ahead == 0.0:
@@ -207,9 +235,17 @@ class HybridOdometry:
         return self._last_pose
 
     def _result(
-        self, scan: Scan, cloud: Cloud, estimate: Estimate, fault: Reason | None, watch: Watch
+        self,
+        scan: Scan,
+        cloud: PreprocessedScan,
+        estimate: Estimate,
+        fault: Reason | None,
+        watch: Watch,
     ) -> OdometryResult:
-        self._keyframe_id, self.claim = estimate.keyframe_id, estimate.claim
+        self._keyframe_id, self.reported_confidence = (
+            estimate.keyframe_id,
+            estimate.reported_confidence,
+        )
         return OdometryResult(
             scan=scan,
             pose=self._reported(estimate, cloud),

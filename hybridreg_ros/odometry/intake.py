@@ -49,7 +49,7 @@ class Intake:
         return fault
 
     def rebased(self, scan: Scan) -> bool:
-        """Whether this scan, refused for its stamp, settles that the time base has changed."""
+        """Whether this scan, refused for its stamp, proves that the time base has changed."""
         if scan.frame_id != self._frame_id:
             return False
         step = None if self._odd_stamp is None else scan.stamp - self._odd_stamp

@@ -6,12 +6,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hybridreg_ros.odometry.registration import covariance
-from hybridreg_ros.odometry.registration.alignment import settle
+from hybridreg_ros.odometry.registration.alignment import align_scan
 from hybridreg_ros.odometry.result import Reason, Source
 from hybridreg_ros.odometry.selection import candidates, reported_confidence
 from hybridreg_ros.odometry.selection.candidates import (
@@ -23,10 +23,10 @@ from hybridreg_ros.odometry.selection.candidates import (
 )
 from hybridreg_ros.odometry.selection.fallback import Fallback
 from hybridreg_ros.odometry.selection.pose_confidence import (
-    Evidence,
+    PoseEvidence,
     Verdict,
     judge,
-    weakness,
+    worst_axis,
 )
 
 if TYPE_CHECKING:
@@ -38,10 +38,10 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.motion.prediction import Expected
     from hybridreg_ros.odometry.network_branch import LearnedBranch, Proposal
     from hybridreg_ros.odometry.preprocess import SensorModel
-    from hybridreg_ros.odometry.preprocessed import Cloud
+    from hybridreg_ros.odometry.preprocessed import PreprocessedScan
     from hybridreg_ros.odometry.registration.alignment import Fit
     from hybridreg_ros.odometry.result import Watch
-    from hybridreg_ros.odometry.world import Scene
+    from hybridreg_ros.odometry.world import World
 
     F64 = NDArray[np.float64]
     F32 = NDArray[np.float32]
@@ -74,7 +74,7 @@ class Locator:
     Args:
         config: settings.
         sensor: what the sensor is.
-        scene: the map of both branches, keyframes, and what earlier scans saw.
+        world: the map of both branches, keyframes, and what earlier scans saw.
         learned: the network branch, or None.
 
     Attributes:
@@ -82,14 +82,14 @@ class Locator:
     """
 
     def __init__(
-        self, config: OdometryConfig, sensor: SensorModel, scene: Scene,
+        self, config: OdometryConfig, sensor: SensorModel, world: World,
         learned: LearnedBranch | None,
     ) -> None:  # fmt: skip
         self._config = config
         self._voxel_m = sensor.voxel_size_m
-        self._scene = scene
+        self._world = world
         self._learned = learned
-        self._fallback = Fallback(config, sensor, scene.map)
+        self._fallback = Fallback(config, sensor, world.map)
         self._sure = config.fallback.good
         self._no_network = (
             Reason.REGISTRAR_KISS_ICP if config.registrar == 'kiss-icp' else Reason.NO_WEIGHTS
@@ -102,7 +102,8 @@ class Locator:
 
     def locate(
         self,
-        cloud: Cloud,
+        cloud: PreprocessedScan,
+        encoding: Any,
         expected: Expected,
         last: F64,
         trust: F32,
@@ -112,6 +113,7 @@ class Locator:
 
         Args:
             cloud: the preprocessed scan.
+            encoding: of it, by the network branch; None without one.
             expected: pose by constant velocity.
             last: (4, 4) last pose.
             trust: (K,) weight per registered point.
@@ -123,7 +125,8 @@ class Locator:
         check = partial(self._judged, cloud, trust, expected)
         proposal = None
         if self._learned is not None:
-            proposal = self._learned.propose(self._scene.keyframes.to_match(expected.pose), watch)
+            keyframe = self._world.keyframes.to_match(expected.pose)
+            proposal = self._learned.propose(encoding, keyframe)
             watch.lap('match')
         if proposal is not None:  # its mask knows of those who came since the last scan
             still = trust * (1.0 - proposal.uncertainty[cloud.icp_in_map])
@@ -131,21 +134,22 @@ class Locator:
                 check = partial(self._judged, cloud, still, expected)
         found = self._by_network(cloud, proposal, trust, check)
         watch.lap('refine')
-        if isinstance(found, Located) and self.claim_of(found).confidence >= self._sure:
+        if isinstance(found, Located) and self.confidence_of(found).confidence >= self._sure:
             return found
         why = found if isinstance(found, Reason) else Reason.LOW_CONFIDENCE
         other = self._by_fallback(cloud, [expected.pose, last], trust, check, why)
         return found if isinstance(found, Located) and not _is_better(other, found) else other
 
-    def claim_of(self, found: Located) -> reported_confidence.Claim:
+    def confidence_of(self, found: Located) -> reported_confidence.ReportedConfidence:
         """What is known of the pose that was found for the last scan, all ways considered."""
         return reported_confidence.of(found, self.judged, self._voxel_m)
 
-    def relocate(self, cloud: Cloud, last: F64) -> Located | Reason:
+    def relocate(self, cloud: PreprocessedScan, encoding: Any, last: F64) -> Located | Reason:
         """Pose of a scan when the last pose says little: by the fallback, then by keyframes.
 
         Args:
             cloud: the preprocessed scan.
+            encoding: of it, by the network branch; None without one.
             last: (4, 4) last pose before the loss.
         """
         trust = np.ones(len(cloud.icp_rows), np.float32)
@@ -155,8 +159,8 @@ class Locator:
         if isinstance(found, Located) and found.confidence >= self._config.fallback.good:
             return found
         if self._learned is not None:
-            for keyframe in self._scene.keyframes.nearest(last, self._config.lost.keyframes_tried):
-                proposal = self._learned.propose(keyframe)
+            for keyframe in self._world.keyframes.nearest(last, self._config.lost.keyframes_tried):
+                proposal = self._learned.propose(encoding, keyframe)
                 by_network = self._by_network(cloud, proposal, trust, check)
                 if isinstance(by_network, Located):
                     return by_network
@@ -164,7 +168,7 @@ class Locator:
             return Reason.LOW_CONFIDENCE
         return found
 
-    def _without_doubt(self, confidence: float, evidence: Evidence) -> bool:
+    def _without_doubt(self, confidence: float, evidence: PoseEvidence) -> bool:
         """Whether a pose is taken without a second opinion.
 
         Confidence alone is not enough: at a wrong pose along walls most points find the map too.
@@ -173,7 +177,11 @@ class Locator:
         return sure and evidence.consistent >= self._config.gate.doubt
 
     def _followed(
-        self, cloud: Cloud, predicted: F64, trust: F32, check: Callable[[Fit], Candidate]
+        self,
+        cloud: PreprocessedScan,
+        predicted: F64,
+        trust: F32,
+        check: Callable[[Fit], Candidate],
     ) -> Candidate | None:
         """Fallback from the prediction, or None when it cannot register.
 
@@ -189,7 +197,7 @@ class Locator:
         return better(wide, tried(self._near(cloud, predicted, trust, wide), check))
 
     def _near(
-        self, cloud: Cloud, predicted: F64, trust: F32, known: Candidate | None
+        self, cloud: PreprocessedScan, predicted: F64, trust: F32, known: Candidate | None
     ) -> Callable[[], Fit | None]:
         """Way to register close to the prediction; it leads to nothing the second time."""
         prior, reach_m, self._reach_m = self._prior, self._reach_m, None
@@ -221,7 +229,7 @@ class Locator:
 
     def _by_network(
         self,
-        cloud: Cloud,
+        cloud: PreprocessedScan,
         proposal: Proposal | None,
         trust: F32,
         check: Callable[[Fit], Candidate],
@@ -232,8 +240,8 @@ class Locator:
         if proposal.confidence < self._config.gate.enter:
             return Reason.LOW_CONFIDENCE
         start, settings = proposal.T_odom_sensor, self._config.refine
-        fit = settle(
-            cloud, start, self._scene.map, settings, trust, 'middle', self._prior_near(start)
+        fit = align_scan(
+            cloud, start, self._world.map, settings, trust, 'middle', self._prior_near(start)
         )
         candidate = check(fit)
         if candidate.verdict.fault is not None:
@@ -248,13 +256,13 @@ class Locator:
             min(proposal.confidence, candidate.verdict.confidence),
             candidate.verdict.confidence,
             proposal.uncertainty,
-            candidate.surprise,
+            candidate.innovation,
             candidate.rank,
         )
 
     def _by_fallback(
         self,
-        cloud: Cloud,
+        cloud: PreprocessedScan,
         guesses: Sequence[F64],
         trust: F32,
         check: Callable[[Fit], Candidate],
@@ -279,7 +287,7 @@ class Locator:
         return located_by_kiss(best, reason)
 
     def _other_ways(
-        self, cloud: Cloud, guesses: Sequence[F64], trust: F32, first: Candidate | None
+        self, cloud: PreprocessedScan, guesses: Sequence[F64], trust: F32, first: Candidate | None
     ) -> Iterator[Callable[[], Fit | None]]:
         """Ways to register without a network where following the prediction leaves doubt.
 
@@ -292,20 +300,22 @@ class Locator:
         for guess in fallback.search(cloud, guesses[0]):
             yield partial(fallback.locate, cloud, [guess], trust)
 
-    def _judged(self, cloud: Cloud, trust: F32, expected: Expected | None, fit: Fit) -> Candidate:
+    def _judged(
+        self, cloud: PreprocessedScan, trust: F32, expected: Expected | None, fit: Fit
+    ) -> Candidate:
         """A pose with what speaks for it, judged by the points that do not move."""
-        points = cloud.icp_with(fit.sway)[trust > 0.5]
+        points = cloud.icp_with(fit.intra_scan)[trust > 0.5]
         spread = covariance.of_fit(fit, cloud.reported_s - cloud.instant_s, 1.0)
         evidence = replace(
-            self._scene.sightings.evidence(points, fit.T_odom_sensor, fit.overlap),
-            weakness=weakness(covariance.weakest_m(spread)),
+            self._world.sightings.evidence(points, fit.T_odom_sensor, fit.overlap),
+            worst_axis=worst_axis(covariance.weakest_m(spread)),
         )
         predicted, dt_s = (None, 0.0) if expected is None else (expected.pose, expected.seconds)
         verdict = judge(
             evidence, fit.T_odom_sensor, predicted, dt_s, self._voxel_m, self._config.gate
         )
-        reported = cloud.reported(fit.T_odom_sensor, fit.sway)
-        off = candidates.surprise(fit.T_odom_sensor, expected, self._voxel_m)
+        reported = cloud.reported(fit.T_odom_sensor, fit.intra_scan)
+        off = candidates.innovation(fit.T_odom_sensor, expected, self._voxel_m)
         if expected is not None and off > _JUMP and expected.is_out_of_reach(fit.T_odom_sensor):
             unlikely = (
                 verdict.fault is None and candidates.against_motion(verdict.confidence, off) < 0.0

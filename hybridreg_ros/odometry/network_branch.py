@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
 from hybridreg_ros.core.errors import ConfigError, RegistrationError, WeightsError
-from hybridreg_ros.core.pages import give_back
 from hybridreg_ros.model.budget import Budget
 
 if TYPE_CHECKING:
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.keyframes import Keyframe
 
     pass
-    from hybridreg_ros.odometry.result import Watch
 
 
 from typing import TYPE_CHECKING, Protocol
@@ -99,20 +97,20 @@ class LearnedBranch:
         begin = getattr(registrar, 'sequence', None)
         self._registrar: Registrar = registrar if begin is None else begin(Budget())
         self._memory = memory
-        self._points: NDArray[np.float32] | None = None
-        self._encoding: Any = None
         self._keyframes: dict[int, Any] = {}
 
-    def begin(self, points: NDArray[np.float32]) -> None:
-        """Take up a new scan (M, 3), sensor frame, metres."""
-        if self._encoding is not None:
-            give_back()
-        self._points, self._encoding = points, None
+    def encode(self, points: NDArray[np.float32]) -> Any:
+        """Encoding of a scan (M, 3), sensor frame, metres; None when it cannot be encoded."""
+        try:
+            return self._registrar.encode(points)
+        except RegistrationError as error:
+            _log.debug('scan not encoded: %s', error)
+            return None
 
-    def adopt(self, keyframe: Keyframe) -> None:
-        """The current scan has become this keyframe: keep its encoding if there is one."""
-        if self._encoding is not None:
-            self._keep(keyframe, self._encoding)
+    def adopt(self, keyframe: Keyframe, encoding: Any) -> None:
+        """A scan has become this keyframe: keep its encoding unless it is None."""
+        if encoding is not None:
+            self._keep(keyframe, encoding)
 
     def forget(self, keyframe: Keyframe) -> None:
         """A keyframe has changed: encode it anew when it is matched next."""
@@ -129,20 +127,21 @@ class LearnedBranch:
         if len(self._keyframes) > self._memory:
             del self._keyframes[next(iter(self._keyframes))]
 
-    def propose(self, keyframe: Keyframe | None, watch: Watch | None = None) -> Proposal | None:
-        """Pose of the current scan through a keyframe, or None when there is no answer."""
-        if keyframe is None or self._points is None:
+    def propose(self, encoding: Any, keyframe: Keyframe | None) -> Proposal | None:
+        """Pose of a scan through a keyframe, or None when there is no answer.
+
+        Args:
+            encoding: of the scan, by `encode`.
+            keyframe: what it is matched with; encoded if it is not yet.
+        """
+        if keyframe is None or encoding is None:
             return None
         try:
-            if self._encoding is None:
-                self._encoding = self._registrar.encode(self._points)
             known = self._keyframes.pop(keyframe.number, None)
             if known is None:
                 known = self._registrar.encode(keyframe.points)
             self._keep(keyframe, known)
-            if watch is not None:
-                watch.lap('encode')
-            match: Match = self._registrar.match(self._encoding, known)
+            match: Match = self._registrar.match(encoding, known)
         except RegistrationError as error:
             _log.debug('no match with keyframe %d: %s', keyframe.number, error)
             return None

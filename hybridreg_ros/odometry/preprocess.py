@@ -11,7 +11,7 @@ import numpy as np
 
 from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.odometry.map.thinning import first_per_voxel, means_of, occupied, voxel_of
-from hybridreg_ros.odometry.preprocessed import Cloud
+from hybridreg_ros.odometry.preprocessed import PreprocessedScan
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -105,7 +105,7 @@ def usual_range(points: NDArray[np.float64]) -> float:
 
 def preprocess(
     scan: Scan, sensor: SensorModel, config: PreprocessConfig, twist: NDArray[np.float64]
-) -> Cloud:
+) -> PreprocessedScan:
     """Limit ranges, undo the motion during the scan, thin.
 
     Args:
@@ -130,7 +130,7 @@ def preprocess(
     if len(icp_rows) > config.icp_points:
         icp_rows = icp_rows[:: -(-len(icp_rows) // config.icp_points)]
     times = scan.times - instant_s if deskewed and scan.times is not None else None
-    return Cloud(
+    return PreprocessedScan(
         points, usable, map_rows, icp_rows, means, counts, cube, deskewed, instant_s, reported_s,
         twist, times, share,
     )  # fmt: skip

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Cloud: a preprocessed scan."""
+"""PreprocessedScan: a preprocessed scan."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy as np
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.odometry.map.thinning import means_of
-from hybridreg_ros.odometry.motion.intra_scan_motion import Sway
+from hybridreg_ros.odometry.motion.intra_scan_motion import IntraScanMotion
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, eq=False)
-class Cloud:
+class PreprocessedScan:
     """A preprocessed scan.
 
     Attributes:
@@ -71,30 +71,32 @@ class Cloud:
         """(K,) seconds of each registered point after the instant, None when there are none."""
         return None if self.times is None else self.times[self.icp_rows]
 
-    def straightened(self, sway: Sway) -> Cloud:
+    def straightened(self, intra_scan: IntraScanMotion) -> PreprocessedScan:
         """The same cloud with the motion during the scan undone that its deskew left."""
         assert self.times is not None
-        points = sway.undo(self.points, self.times)
+        points = intra_scan.undo(self.points, self.times)
         means, _ = means_of(points, self.cube, len(self.map_rows))
         return replace(self, points=points, means=means)
 
-    def icp_with(self, sway: Sway | None) -> NDArray[np.float32]:
-        """(K, 3) points that are registered, with a sway undone."""
+    def icp_with(self, intra_scan: IntraScanMotion | None) -> NDArray[np.float32]:
+        """(K, 3) points that are registered, with an intra-scan motion undone."""
         points, times = self.icp_points, self.icp_times
-        return points if sway is None or times is None else sway.undo(points, times)
+        return points if intra_scan is None or times is None else intra_scan.undo(points, times)
 
-    def reported(self, pose: NDArray[np.float64], sway: Sway | None = None) -> NDArray[np.float64]:
+    def reported(
+        self, pose: NDArray[np.float64], intra_scan: IntraScanMotion | None = None
+    ) -> NDArray[np.float64]:
         """Pose (4, 4) at the instant that is asked for, from that of the points."""
-        return self.pose_at(self.reported_s - self.instant_s, pose, sway)
+        return self.pose_at(self.reported_s - self.instant_s, pose, intra_scan)
 
     def pose_at(
-        self, second: float, pose: NDArray[np.float64], sway: Sway | None = None
+        self, second: float, pose: NDArray[np.float64], intra_scan: IntraScanMotion | None = None
     ) -> NDArray[np.float64]:
         """Pose (4, 4) so many seconds after the instant of the points, from that of the points."""
-        even: NDArray[np.float64] = pose if sway is None else pose @ sway.at(second)
+        even: NDArray[np.float64] = pose if intra_scan is None else pose @ intra_scan.at(second)
         return even @ se3.exp(self.twist * second)
 
-    def moved_by(self, twist: NDArray[np.float64]) -> Cloud:
+    def moved_by(self, twist: NDArray[np.float64]) -> PreprocessedScan:
         """A cloud that was taken to stand still, deskewed by a velocity (6,) known since."""
-        moved = self.straightened(Sway(twist - self.twist, np.zeros(6)))
+        moved = self.straightened(IntraScanMotion(twist - self.twist, np.zeros(6)))
         return replace(moved, twist=twist)

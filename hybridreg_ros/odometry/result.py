@@ -4,12 +4,13 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     import numpy as np
     from numpy.typing import NDArray
@@ -98,12 +99,45 @@ class OdometryResult:
         return self.scan.stamp
 
 
+class Rest:
+    """The part of a step that can wait: done once, by whoever calls it first, in any thread."""
+
+    def __init__(self, make: Callable[[], OdometryResult]) -> None:
+        self._make: Callable[[], OdometryResult] | None = make
+        self._lock = threading.Lock()
+        self._result: OdometryResult | None = None
+
+    def __call__(self) -> OdometryResult:
+        """The whole result.
+
+        Raises:
+            RuntimeError: it was begun before, and what went wrong was raised there.
+        """
+        self.wait()
+        if self._result is None:
+            raise RuntimeError('the rest of this step failed')
+        return self._result
+
+    def wait(self) -> None:
+        """Return once it is done; it is done here if nobody began it."""
+        with self._lock:
+            make, self._make = self._make, None
+            if make is not None:
+                self._result = make()
+
+
 class Watch:
     """Books the time of one step under its stages."""
 
     def __init__(self) -> None:
         self._start = self._last = perf_counter()
         self._laps: dict[str, float] = {}
+
+    def resume(self) -> None:
+        """Leave out the time since the last lap: nothing was done for this step."""
+        now = perf_counter()
+        self._start += now - self._last
+        self._last = now
 
     def lap(self, stage: str) -> None:
         """Book the time since the last lap under a stage."""

@@ -7,19 +7,20 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from hybridreg_ros.core import se3
+from hybridreg_ros.core.pages import give_back
 from hybridreg_ros.odometry.locator import Locator
 from hybridreg_ros.odometry.network_branch import LearnedBranch
 from hybridreg_ros.odometry.registration import covariance
-from hybridreg_ros.odometry.registration.scan_continuity import Trail
+from hybridreg_ros.odometry.registration.scan_continuity import ScanContinuity
 from hybridreg_ros.odometry.result import Reason, Source
 from hybridreg_ros.odometry.selection import calibration
 from hybridreg_ros.odometry.selection.candidates import Located
-from hybridreg_ros.odometry.world import Scene
+from hybridreg_ros.odometry.world import World
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,10 +32,10 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.motion.prediction import Motion
     from hybridreg_ros.odometry.network_branch import Registrar
     from hybridreg_ros.odometry.preprocess import SensorModel
-    from hybridreg_ros.odometry.preprocessed import Cloud
+    from hybridreg_ros.odometry.preprocessed import PreprocessedScan
     from hybridreg_ros.odometry.result import Watch
     from hybridreg_ros.odometry.selection.candidates import Candidate
-    from hybridreg_ros.odometry.selection.reported_confidence import Claim
+    from hybridreg_ros.odometry.selection.reported_confidence import ReportedConfidence
 
     F64 = NDArray[np.float64]
 
@@ -45,7 +46,7 @@ _OPENINGS = 2
 
 
 class Tracker:
-    """Scene and pose chain of one odom frame.
+    """World and pose chain of one odom frame.
 
     Args:
         config: settings.
@@ -70,46 +71,52 @@ class Tracker:
         self.covariance = covariance.first()
         self._config = config
         self._motion = motion
-        self._scene = Scene(config, sensor)
+        self._world = World(config, sensor)
         asked = config.keyframe.window + config.lost.keyframes_tried
         self._learned = None if registrar is None else LearnedBranch(registrar, asked)
-        self._locator = Locator(config, sensor, self._scene, self._learned)
+        self._locator = Locator(config, sensor, self._world, self._learned)
         self._bad_frames = 0
         self._lost_scans = 0
-        self._opening: tuple[Cloud, int] | None = None
-        self._trail = Trail()
+        self._opening: tuple[PreprocessedScan, int] | None = None
+        self._continuity = ScanContinuity()
 
-    def step(self, cloud: Cloud, stamp: int, watch: Watch) -> Estimate:
+    def encode(self, cloud: PreprocessedScan) -> Any:
+        """Encoding of a cloud by the network; None without one. Needs nothing of earlier scans."""
+        if self._learned is None or len(cloud.icp_rows) < self._config.input.min_points:
+            return None
+        return self._learned.encode(cloud.map_points)
+
+    def step(self, cloud: PreprocessedScan, encoding: Any, stamp: int, watch: Watch) -> Estimate:
         """Locate a cloud and update the pose chain; map and keyframes are left to the estimate.
 
         Args:
             cloud: the preprocessed scan.
+            encoding: of it, by `encode`.
             stamp: its stamp, ns.
             watch: books the time per stage.
         """
         self._locator.judged = []
         if len(cloud.icp_rows) < self._config.input.min_points:
             return self._bad(cloud, stamp, Reason.TOO_FEW_POINTS)
-        if self._learned is not None:
-            self._learned.begin(cloud.map_points)
-        if len(self._scene.map) == 0:
-            return self._begin(cloud, stamp, Reason.FIRST_SCAN)
-        expected = self._trail.expect(self._motion.expect(stamp), cloud, stamp)
-        trust = self._scene.dynamics.trust(cloud.icp_points, predicted := expected.pose)
+        if len(self._world.map) == 0:
+            return self._begin(cloud, encoding, stamp, Reason.FIRST_SCAN)
+        expected = self._continuity.expect(self._motion.expect(stamp), cloud, stamp)
+        trust = self._world.dynamics.trust(cloud.icp_points, predicted := expected.pose)
         if self.lost:
-            found = self._locator.relocate(cloud, self._motion.pose)
+            found = self._locator.relocate(cloud, encoding, self._motion.pose)
         else:
-            found = self._locator.locate(cloud, expected, self._motion.pose, trust, watch)
+            last = self._motion.pose
+            found = self._locator.locate(cloud, encoding, expected, last, trust, watch)
         if isinstance(found, Located) and self._opens(cloud, stamp):
-            cloud, predicted, found = self._opened(cloud, stamp, found, watch)
+            cloud, predicted, found = self._opened(cloud, encoding, stamp, found, watch)
         self._opening = None
         watch.lap('refine')
         if isinstance(found, Located) and self._is_last_straw(found):
             found = found.reason
         if isinstance(found, Located):
-            return self._accept(cloud, stamp, predicted, found)
+            return self._accept(cloud, encoding, stamp, predicted, found)
         if self.lost and self._give_up():
-            return self._begin(cloud, stamp, Reason.RECOVERED)
+            return self._begin(cloud, encoding, stamp, Reason.RECOVERED)
         return self._bad(cloud, stamp, found)
 
     @property
@@ -121,15 +128,15 @@ class Tracker:
         """Whether a tentative pose comes after too many bad frames to be taken."""
         return found.tentative and self._bad_frames + 1 >= self._config.lost.after_bad_frames
 
-    def _opens(self, cloud: Cloud, stamp: int) -> bool:
+    def _opens(self, cloud: PreprocessedScan, stamp: int) -> bool:
         """Whether this is the second scan of a map whose first one was taken to stand still."""
         if self._opening is None or cloud.times is None:
             return False
         return self._opening[1] == self._motion.stamp < stamp
 
     def _opened(
-        self, cloud: Cloud, stamp: int, found: Located, watch: Watch
-    ) -> tuple[Cloud, F64, Located]:
+        self, cloud: PreprocessedScan, encoding: Any, stamp: int, found: Located, watch: Watch
+    ) -> tuple[PreprocessedScan, F64, Located]:
         """Make the map of the first scan again, deskewed by the velocity that the second shows.
 
         The pose reported of the first scan stands, so that of its points is found from it.
@@ -149,34 +156,36 @@ class Tracker:
             self._restart(first.moved_by(twist), begun, since)
             ones = np.ones(len(cloud.icp_rows), np.float32)
             expected = replace(self._motion.expect(stamp), pose=predicted)
-            again = self._locator.locate(cloud, expected, begun, ones, watch)
+            again = self._locator.locate(cloud, encoding, expected, begun, ones, watch)
             if isinstance(again, Reason):  # the velocity was wrong, so as it was before
                 self._restart(first, start, since)
                 return still, start, found
             outcome = again
         return cloud, predicted, outcome
 
-    def _restart(self, cloud: Cloud, pose: F64, stamp: int) -> None:
+    def _restart(self, cloud: PreprocessedScan, pose: F64, stamp: int) -> None:
         """Let the map, the past and the newest keyframe be those of one cloud."""
         self._stop(stamp, pose)
-        keyframe = self._scene.begin_again(cloud, pose, stamp)
+        keyframe = self._world.begin_again(cloud, pose, stamp)
         if self._learned is not None:
             self._learned.forget(keyframe)
 
-    def _accept(self, cloud: Cloud, stamp: int, predicted: F64, found: Located) -> Estimate:
-        """Write a pose to the chain; what its scan tells the scene is left to the estimate."""
+    def _accept(
+        self, cloud: PreprocessedScan, encoding: Any, stamp: int, predicted: F64, found: Located
+    ) -> Estimate:
+        """Write a pose to the chain; what its scan tells the world is left to the estimate."""
         pose, was_lost = found.fit.T_odom_sensor, self.lost
-        sway, reported = found.fit.sway, None
+        intra_scan, reported = found.fit.intra_scan, None
         entered = cloud
-        if sway is not None:
-            cloud, reported = cloud.straightened(sway), cloud.reported(pose, sway)
+        if intra_scan is not None:
+            cloud, reported = cloud.straightened(intra_scan), cloud.reported(pose, intra_scan)
         if was_lost:
             self._stop(stamp, pose)
         else:
             self._locator.learn(predicted, pose)
             if found.confidence >= self._config.gate.enter:
                 self._motion.advance(pose, stamp)
-                self._trail.leave(entered, pose, sway, stamp)
+                self._continuity.end_at(entered, pose, intra_scan, stamp)
             else:
                 self._hold(pose, stamp)
         self.lost, self._lost_scans = False, 0
@@ -189,29 +198,34 @@ class Tracker:
         ahead_s = cloud.reported_s - cloud.instant_s
         self.covariance = covariance.of_fit(found.fit, ahead_s, factor)
         reason = Reason.RECOVERED if was_lost else found.reason
-        claim = self._locator.claim_of(found)
-        estimate = self._estimate(pose, reason, claim.confidence, nothing(cloud), False)
-        update = partial(self._update, cloud, stamp, found)
-        return replace(estimate, reported=reported, claim=claim, update=update)
+        told = self._locator.confidence_of(found)
+        estimate = self._estimate(pose, reason, told.confidence, nothing(cloud), False)
+        update = partial(self._update, cloud, encoding, stamp, found)
+        return replace(estimate, reported=reported, reported_confidence=told, update=update)
 
-    def _update(self, cloud: Cloud, stamp: int, found: Located, watch: Watch) -> Update:
-        """Say what moves in a located scan, and write what stands still to the scene."""
-        dynamic, image = self._scene.moving(cloud, found)
+    def _update(
+        self, cloud: PreprocessedScan, encoding: Any, stamp: int, found: Located, watch: Watch
+    ) -> Update:
+        """Say what moves in a located scan, and write what stands still to the world."""
+        dynamic, image = self._world.moving(cloud, found)
         watch.lap('dynamics')
-        keyframe = self._scene.add(cloud, stamp, found, dynamic, image)
+        keyframe = self._world.add(cloud, stamp, found, dynamic, image)
         if keyframe is not None:
-            self._adopt(keyframe)
+            self._adopt(keyframe, encoding)
         if self._learned is not None:
-            self._learned.keep_only(self._scene.keyframes.recent)
+            self._learned.keep_only(self._world.keyframes.recent)
+            give_back()  # what the network took for this scan
         watch.lap('map')
         return Update(dynamic, keyframe is not None, self._keyframe_id)
 
     @property
     def _keyframe_id(self) -> int:
-        last = self._scene.keyframes.last
+        last = self._world.keyframes.last
         return 0 if last is None else last.number
 
-    def _begin(self, cloud: Cloud, stamp: int, reason: Reason) -> Estimate:
+    def _begin(
+        self, cloud: PreprocessedScan, encoding: Any, stamp: int, reason: Reason
+    ) -> Estimate:
         """Start a map at the last pose: the first scan, or a new start after a loss.
 
         After a loss the way between the old map and the new one is not known: the pose of that
@@ -223,11 +237,11 @@ class Tracker:
         self.source = Source.KISS_ICP if self._learned is None else Source.HYBRIDREG
         first = reason is Reason.FIRST_SCAN
         self.covariance = covariance.first() if first else covariance.lost()
-        self._adopt(self._scene.begin(cloud, pose, stamp))
+        self._adopt(self._world.begin(cloud, pose, stamp), encoding)
         self._opening = None if cloud.times is None else (cloud, stamp)
         return self._estimate(pose, reason, float(first), nothing(cloud), is_keyframe=True)
 
-    def _bad(self, cloud: Cloud, stamp: int, reason: Reason) -> Estimate:
+    def _bad(self, cloud: PreprocessedScan, stamp: int, reason: Reason) -> Estimate:
         """No pose from this cloud: coast for a few frames, then say LOST and stand still."""
         self._bad_frames += 1
         self.lost = self.lost or self._bad_frames >= self._config.lost.after_bad_frames
@@ -245,17 +259,17 @@ class Tracker:
     def _stop(self, stamp: int, pose: F64 | None = None) -> None:
         """Stand still from now on, at a pose or at the last one."""
         self._motion.stop(stamp, pose)
-        self._trail.forget()
+        self._continuity.forget()
 
     def _hold(self, pose: F64, stamp: int) -> None:
         """Take a pose that says nothing about the motion."""
         self._motion.hold(pose, stamp)
-        self._trail.end()
+        self._continuity.end()
 
-    def _adopt(self, keyframe: Keyframe) -> None:
-        """Let the network match against a keyframe that the current scan has become."""
+    def _adopt(self, keyframe: Keyframe, encoding: Any) -> None:
+        """Let the network match against a keyframe that a scan has become."""
         if self._learned is not None:
-            self._learned.adopt(keyframe)
+            self._learned.adopt(keyframe, encoding)
 
     def _give_up(self) -> bool:
         """Whether the old map is given up; then it is forgotten, with all that belongs to it."""
@@ -263,8 +277,8 @@ class Tracker:
         if self._lost_scans <= self._config.lost.reanchor_after:
             return False
         _log.warning('lost for %d scans: starting a new map at the last pose', self._lost_scans)
-        self._scene.forget()
-        self._scene.keyframes.clear()
+        self._world.forget()
+        self._world.keyframes.clear()
         return True
 
     def _estimate(
@@ -302,8 +316,9 @@ class Estimate:
     """What the tracker says about one cloud; fields as in OdometryResult.
 
     `reported` is the pose at the instant that is asked for, None where only the velocity between
-    scans leads there; `claim` is what the confidence follows from, None where it is 0. `update`
-    makes mask, map and keyframes, to be called once before the next step; None = nothing to do.
+    scans leads there; `reported_confidence` is what the confidence follows from, None where it is
+    0. `update` makes mask, map and keyframes, to be called once before the next step; None =
+    nothing to do.
     """
 
     pose: F64
@@ -315,10 +330,10 @@ class Estimate:
     keyframe_id: int
     is_keyframe: bool
     reported: F64 | None = None
-    claim: Claim | None = None
+    reported_confidence: ReportedConfidence | None = None
     update: Callable[[Watch], Update] | None = None
 
 
-def nothing(cloud: Cloud) -> NDArray[np.float32]:
+def nothing(cloud: PreprocessedScan) -> NDArray[np.float32]:
     """P(dynamic) (N,) of a cloud of which nothing is known: zero."""
     return np.zeros(len(cloud.points), np.float32)

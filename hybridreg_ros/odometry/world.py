@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Scene: what is known of the surroundings, and what each scan adds to it."""
+"""World: what is known of the surroundings, and what each scan adds to it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.config import OdometryConfig
     from hybridreg_ros.odometry.keyframes import Keyframe
     from hybridreg_ros.odometry.preprocess import SensorModel
-    from hybridreg_ros.odometry.preprocessed import Cloud
+    from hybridreg_ros.odometry.preprocessed import PreprocessedScan
     from hybridreg_ros.odometry.selection.candidates import Located
     from hybridreg_ros.odometry.visibility.range_image import RangeImage
 
@@ -33,7 +33,7 @@ _STATIC_BELOW = 0.3
 """Only points of a lower P(dynamic) enter the map."""
 
 
-class Scene:
+class World:
     """The map, the keyframes, what scans saw and what moves, in one odom frame.
 
     Args:
@@ -58,18 +58,18 @@ class Scene:
         self.sightings = Sightings(sensor, config.keyframe.memory)
         self.dynamics = Dynamics(config.dynamics, sensor)
 
-    def begin(self, cloud: Cloud, pose: F64, stamp: int) -> Keyframe:
+    def begin(self, cloud: PreprocessedScan, pose: F64, stamp: int) -> Keyframe:
         """Take a first scan at a pose (4, 4) as it is; it becomes a keyframe."""
         self._open(cloud, pose, stamp)
         return self.keyframes.add(pose, stamp, cloud.map_points)
 
-    def begin_again(self, cloud: Cloud, pose: F64, stamp: int) -> Keyframe:
+    def begin_again(self, cloud: PreprocessedScan, pose: F64, stamp: int) -> Keyframe:
         """Put the newest keyframe elsewhere; all else but older keyframes is forgotten."""
         self.forget()
         self._open(cloud, pose, stamp)
         return self.keyframes.mend(pose, cloud.map_points)
 
-    def moving(self, cloud: Cloud, found: Located) -> tuple[F32, RangeImage]:
+    def moving(self, cloud: PreprocessedScan, found: Located) -> tuple[F32, RangeImage]:
         """P(dynamic) of the points (N,) of a scan, and what the scan saw.
 
         Args:
@@ -81,7 +81,7 @@ class Scene:
         return self.dynamics.update(cloud, pose, self.map, found.uncertainty), image
 
     def add(
-        self, cloud: Cloud, stamp: int, found: Located, dynamic: F32, image: RangeImage
+        self, cloud: PreprocessedScan, stamp: int, found: Located, dynamic: F32, image: RangeImage
     ) -> Keyframe | None:  # fmt: skip
         """Add what stands still in a scan; take off the map what the scan shows to be gone.
 
@@ -115,7 +115,7 @@ class Scene:
         for part in (self.map, self.dynamics, self.sightings):
             part.clear()
 
-    def _open(self, cloud: Cloud, pose: F64, stamp: int) -> None:
+    def _open(self, cloud: PreprocessedScan, pose: F64, stamp: int) -> None:
         """Let the map, the past and what was seen be those of one scan."""
         image, still = self.sightings.draw(cloud, pose), np.ones(len(cloud.points), np.bool_)
         self._remember(cloud, pose, stamp, image, still)
@@ -123,7 +123,7 @@ class Scene:
         self.sightings.keep(image, is_keyframe=True)
 
     def _remember(
-        self, cloud: Cloud, pose: F64, stamp: int, image: RangeImage, still: Mask
+        self, cloud: PreprocessedScan, pose: F64, stamp: int, image: RangeImage, still: Mask
     ) -> None:  # fmt: skip
         """Erase what an image shows to be gone; let movers of later scans be told by it."""
         if self._config.dynamics.enabled:
@@ -133,7 +133,7 @@ class Scene:
             rows = cloud.icp_rows[still[cloud.icp_rows]]
             self.dynamics.remember(image, se3.apply(pose, cloud.points[rows]), stamp)
 
-    def _write(self, cloud: Cloud, pose: F64, stamp: int, still: Mask) -> None:
+    def _write(self, cloud: PreprocessedScan, pose: F64, stamp: int, still: Mask) -> None:
         """Add the still points to the map."""
         points = cloud.means[still[cloud.map_rows]].astype(np.float64)
         weights = certainty(points, self._sensor)

@@ -72,8 +72,9 @@ class _Axes:
 def ticks(low: float, high: float, wanted: int = 6) -> list[float]:
     """Round numbers between two limits.
 
-    >>> ticks(0.0, 10.0)
-    [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]
+    Examples:
+        >>> ticks(0.0, 10.0)
+        [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]
     """
     raw = max(high - low, 1e-12) / wanted
     power = 10.0 ** np.floor(np.log10(raw))

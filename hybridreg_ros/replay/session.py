@@ -75,7 +75,7 @@ def odometry_config(path: Path | None, registrar: str | None = None) -> Odometry
     return config if registrar is None else dataclasses.replace(config, registrar=registrar)
 
 
-def build_front_end(config: OdometryConfig, weights: Path | None) -> HybridOdometry:
+def open_front_end(config: OdometryConfig, weights: Path | None) -> HybridOdometry:
     """Front end of the settings, threads on one heap; the network is loaded only when it leads.
 
     Raises:
@@ -131,7 +131,7 @@ def replay(job: Job, tick: Callable[[FrameLog | None], None] | None = None) -> R
     """
     topic, count = planned_frames(job)
     threshold = job.config.dynamics.threshold
-    front_end = build_front_end(job.config, job.weights)
+    front_end = open_front_end(job.config, job.weights)
     job.out.mkdir(parents=True, exist_ok=True)
     album = Album(count, threshold=threshold)
     with contextlib.ExitStack() as stack:

@@ -13,6 +13,8 @@ from hybridreg_ros.core.errors import ConfigError
 
 RESTART_ONLY = ('weights', 'input_qos', 'input_qos_depth', 'extrinsic_source')
 """Fields that are read when the node starts; the parameter server refuses to change them."""
+RUNTIME = ('dynamics.threshold',)
+"""Front-end parameters that the node itself applies; the others are read at the start."""
 
 
 @dataclass(frozen=True)

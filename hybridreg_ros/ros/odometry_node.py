@@ -17,11 +17,11 @@ from std_srvs.srv import Trigger
 from hybridreg_ros.core.errors import HybridRegError
 from hybridreg_ros.core.pages import one_heap
 from hybridreg_ros.odometry.config import OdometryConfig
-from hybridreg_ros.ros import fastdds
+from hybridreg_ros.ros import fastdds, topics
 from hybridreg_ros.ros.diagnostics import Setting, to_array
 from hybridreg_ros.ros.front_end import build_front_end
 from hybridreg_ros.ros.monitor import Drop, Monitor
-from hybridreg_ros.ros.node_config import RESTART_ONLY, NodeConfig
+from hybridreg_ros.ros.node_config import RESTART_ONLY, RUNTIME, NodeConfig
 from hybridreg_ros.ros.outputs import Outputs
 from hybridreg_ros.ros.parameters import ConfigParameters, leaves
 from hybridreg_ros.ros.qos import profile
@@ -34,16 +34,13 @@ if TYPE_CHECKING:
     from sensor_msgs.msg import PointCloud2
 
 
-RUNTIME = ('dynamics.threshold',)
-"""Front-end parameters that the node itself applies; the others are read at the start."""
-
 _WARN_EVERY_S = 5.0
 _LOOK_EVERY_S = 0.1
 _FIXED = {leaf.name for leaf in leaves(OdometryConfig())}.difference(RUNTIME).union(RESTART_ONLY)
 
 
 class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
-    """ROS callbacks around one front end; docs/ros.md lists topics, services and parameters."""
+    """ROS callbacks around one front end; docs/reference/ros.md lists the interface."""
 
     def __init__(self, transport: fastdds.Transport | None = None) -> None:
         """Read the parameters, build the front end, then subscribe.
@@ -77,12 +74,14 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
             self.get_logger().info,
         )
         self._triggers = [
-            self.create_service(Trigger, '~/reset', self._on_reset),
-            self.create_service(Trigger, '~/pause', self._on_pause),
-            self.create_service(Trigger, '~/resume', self._on_resume),
+            self.create_service(Trigger, topics.RESET.name, self._on_reset),
+            self.create_service(Trigger, topics.PAUSE.name, self._on_pause),
+            self.create_service(Trigger, topics.RESUME.name, self._on_resume),
         ]
         self._diagnostics = self.create_publisher(
-            DiagnosticArray, '/diagnostics', profile(reliable=True, depth=10)
+            DiagnosticArray,
+            topics.DIAGNOSTICS.name,
+            profile(reliable=True, depth=topics.DIAGNOSTICS.depth),
         )
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self._diagnostics_timer(config)
@@ -122,7 +121,7 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
 
     def _on_lost(self, count: int) -> None:
         """Count clouds that the transport lost; the middleware tells."""
-        text = 'never arrived; see docs/ros.md, Transport'
+        text = 'never arrived; see docs/guide/troubleshooting.md'
         self._monitor.dropped(Drop.TRANSPORT, text, count)
 
     def _warn(self, cause: str, text: str) -> None:

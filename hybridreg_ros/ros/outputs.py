@@ -16,6 +16,7 @@ from sensor_msgs.msg import PointCloud2
 from hybridreg_ros.core.errors import PointCloudError
 from hybridreg_ros.core.pointcloud2 import with_field
 from hybridreg_ros.odometry.result import Source
+from hybridreg_ros.ros import topics
 from hybridreg_ros.ros.conversions import to_odometry, to_pointcloud2, to_transform
 from hybridreg_ros.ros.diagnostics import of_frame
 from hybridreg_ros.ros.qos import profile, publisher_events
@@ -56,12 +57,12 @@ class Outputs:
         self._tf = Broadcaster(node)
         self.tf_available = self._tf.available
         self.waiting_for = ''
-        self._odometry = self._publisher(Odometry, '~/odom', 10)
-        self._dynamic = self._publisher(PointCloud2, '~/dynamic_points', 5)
-        self._static = self._publisher(PointCloud2, '~/static_points', 5)
-        self._keyframe = self._publisher(PointCloud2, '~/keyframe', 5)
-        self._path = self._publisher(Path, '~/path', 1)
-        self._frame = self._publisher(DiagnosticArray, '~/frame', 10)
+        self._odometry = self._publisher(Odometry, topics.ODOM)
+        self._dynamic = self._publisher(PointCloud2, topics.DYNAMIC_POINTS)
+        self._static = self._publisher(PointCloud2, topics.STATIC_POINTS)
+        self._keyframe = self._publisher(PointCloud2, topics.KEYFRAME)
+        self._path = self._publisher(Path, topics.PATH)
+        self._frame = self._publisher(DiagnosticArray, topics.FRAME)
         self._lock = threading.Lock()
         self._poses: deque[PoseStamped] = deque(maxlen=config.path_length)
         self._listener: StaticListener | None = None
@@ -69,12 +70,12 @@ class Outputs:
             self._listener = StaticListener(node)
         self.configure(config, threshold)
 
-    def _publisher(self, kind: type, topic: str, depth: int) -> Any:
-        name = self._node.resolve_topic_name(topic)
+    def _publisher(self, kind: type, topic: topics.Topic) -> Any:
+        name = self._node.resolve_topic_name(topic.name)
         return self._node.create_publisher(
             kind,
-            topic,
-            profile(reliable=True, depth=depth),
+            topic.name,
+            profile(reliable=True, depth=topic.depth),
             event_callbacks=publisher_events(self._node, name, _OFFER),
         )
 

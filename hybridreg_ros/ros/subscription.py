@@ -10,6 +10,7 @@ from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import PointCloud2
 
 from hybridreg_ros.ros.qos import all_reliable, profile, subscription_events
+from hybridreg_ros.ros.topics import POINTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -93,7 +94,7 @@ class CloudSubscription:
         self._losses = LossCounter(on_lost)
         self._subscription: Subscription | None = None
         self._reliable: bool | None = None
-        self.topic = node.resolve_topic_name('points')
+        self.topic = node.resolve_topic_name(POINTS.name)
         self.state = 'waiting for a publisher'
         self._timer: Timer | None = None
         if qos == 'auto':
@@ -116,7 +117,7 @@ class CloudSubscription:
         self.state = 'reliable' if reliable else 'best_effort'
         self._subscription = self._node.create_subscription(
             PointCloud2,
-            'points',
+            POINTS.name,
             self._receive,
             profile(reliable, self._depth),
             event_callbacks=subscription_events(

@@ -13,6 +13,7 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import DependencyError
 from hybridreg_ros.ros.conversions import rotation
 from hybridreg_ros.ros.qos import profile
+from hybridreg_ros.ros.topics import TF, TF_STATIC
 
 if TYPE_CHECKING:
     from geometry_msgs.msg import TransformStamped
@@ -44,7 +45,7 @@ class Broadcaster:
         self._type = message_type()
         self.available = self._type is not None
         self._publisher = (
-            node.create_publisher(self._type, '/tf', profile(reliable=True, depth=100))
+            node.create_publisher(self._type, TF.name, profile(reliable=True, depth=TF.depth))
             if self.available
             else None
         )
@@ -72,7 +73,10 @@ class StaticListener:
             )
         self._parents: dict[str, tuple[str, NDArray[np.float64]]] = {}
         self._subscription = node.create_subscription(
-            tf_message, '/tf_static', self._on_message, profile(True, 100, latched=True)
+            tf_message,
+            TF_STATIC.name,
+            self._on_message,
+            profile(True, TF_STATIC.depth, latched=True),
         )
 
     def _on_message(self, msg: Any) -> None:

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Worker: one thread that turns waiting clouds into results, in order, one at a time."""
+"""Worker: waiting clouds become results, in order; poses in one thread, the rest in another."""
 
 from __future__ import annotations
 
+import queue
 import threading
-from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hybridreg_ros.core.errors import HybridRegError
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from hybridreg_ros.core.scan import Scan
     from hybridreg_ros.odometry.frontend import HybridOdometry
-    from hybridreg_ros.odometry.result import OdometryResult
+    from hybridreg_ros.odometry.result import OdometryResult, Rest
     from hybridreg_ros.ros.node_config import NodeConfig
 
 
@@ -31,7 +31,7 @@ class Arrival(NamedTuple):
 
 
 class Worker:
-    """Queue, front end and thread."""
+    """Queue, front end and threads."""
 
     def __init__(
         self,
@@ -64,14 +64,20 @@ class Worker:
         self._queue: FrameQueue[Arrival] = FrameQueue(depth=1)
         self._busy = threading.Lock()
         self._thread = self._new_thread()
+        self._located: queue.SimpleQueue[tuple[Any, Rest] | None] = queue.SimpleQueue()
+        self._completer = self._new_completer()
         self.configure(config)
 
     def _new_thread(self) -> threading.Thread:
         return threading.Thread(target=self._run, name='hybridreg_worker', daemon=True)
 
+    def _new_completer(self) -> threading.Thread:
+        return threading.Thread(target=self._complete_all, name='hybridreg_completer', daemon=True)
+
     def start(self) -> None:
-        """Start the thread."""
+        """Start the threads."""
         self._thread.start()
+        self._completer.start()
 
     def configure(self, config: NodeConfig) -> None:
         """Take queue depth, drop policy and unit of per-point times from a config."""
@@ -105,6 +111,9 @@ class Worker:
         self._queue.close()
         if self._thread.is_alive():
             self._thread.join(timeout_s)
+        self._located.put(None)
+        if self._completer.is_alive():
+            self._completer.join(timeout_s)
 
     def _run(self) -> None:
         """Work until the queue is closed.
@@ -128,7 +137,7 @@ class Worker:
         try:
             scan = self._front_end.seen(to_scan(arrival.message, *self._times))
             self._tell_times(scan)
-            result = self._front_end.step(scan, partial(self._posed, arrival.time_s))
+            result, rest = self._front_end.locate(scan)
         except HybridRegError as error:
             self._monitor.dropped(Drop.BAD_CLOUD, str(error))
             self._warn(Drop.BAD_CLOUD.value, str(error))
@@ -138,8 +147,28 @@ class Worker:
             self._monitor.dropped(result.reason, text)
             self._warn(result.reason.value, f'dropped {text}')
             return
-        self._publish(arrival.message, result)
-        self._monitor.finished(result)
+        self._posed(arrival.time_s, result)
+        self._located.put((arrival.message, rest))
+
+    def _complete_all(self) -> None:
+        """Make mask, map and keyframes of located clouds and publish their points, until stopped.
+
+        The next cloud is decoded and encoded meanwhile; its pose waits for the map. A bug costs
+        the clouds of one scan, as in `_run`.
+        """
+        finished = False
+        try:
+            while (located := self._located.get()) is not None:
+                message, rest = located
+                result = rest()
+                self._publish(message, result)
+                self._monitor.finished(result)
+            finished = True
+        finally:
+            if not finished:
+                self._monitor.dropped(Drop.INTERNAL_ERROR, 'see the traceback on stderr')
+                self._completer = self._new_completer()
+                self._completer.start()
 
     def _tell_times(self, scan: Scan) -> None:
         """Log which per-point times are used when that changes, and what is odd in the cloud."""

@@ -17,7 +17,7 @@ from hybridreg_ros.core.errors import FileFormatError
 from hybridreg_ros.data.pair import PointPair
 from hybridreg_ros.metrics import calibration as metric
 from hybridreg_ros.metrics import registration
-from hybridreg_ros.model.pose.confidence import Calibration, feature_names
+from hybridreg_ros.model.pose.confidence import PairCalibration, feature_names
 from hybridreg_ros.training.config import LossConfig
 from hybridreg_ros.training.report import EvalReport, PairScore
 from hybridreg_ros.training.samples import prepare
@@ -102,7 +102,7 @@ def evaluate_method(
     return EvalReport(name, tuple(scores))
 
 
-def calibrate(scores: Sequence[PairScore]) -> Calibration:
+def calibrate(scores: Sequence[PairScore]) -> PairCalibration:
     """Confidence fitted to scores with features (from validation pairs, never from test data).
 
     A logistic model of the features in `SIGNS` (few, for validation pairs are few). One that
@@ -125,7 +125,7 @@ def calibrate(scores: Sequence[PairScore]) -> Calibration:
         names.pop(int(harm.argmax()))
     weights = np.zeros(len(feature_names()))
     weights[columns] = fit.weights
-    return Calibration(tuple(float(w) for w in weights), float(fit.bias), True)
+    return PairCalibration(tuple(float(w) for w in weights), float(fit.bias), True)
 
 
 def recorded_pairs(folder: str | Path) -> list[PointPair]:

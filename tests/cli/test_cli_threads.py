@@ -32,5 +32,5 @@ def test_threads_of_a_replay_share_one_heap(monkeypatch: pytest.MonkeyPatch) -> 
     """Where its front end is made, so in the processes of --workers too."""
     asked: list[int] = []
     monkeypatch.setattr(session, 'one_heap', lambda: asked.append(1))
-    session.build_front_end(OdometryConfig(registrar='kiss-icp'), None)
+    session.open_front_end(OdometryConfig(registrar='kiss-icp'), None)
     assert asked == [1]

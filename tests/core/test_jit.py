@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import sys
+from typing import Any
 
 import numba
 import pytest
@@ -67,7 +68,8 @@ def test_other_users_of_numba_keep_their_cache():
 
     assert twice(4) == 8
     assert before == numba.config.CACHE_DIR
-    assert twice._cache.cache_path.startswith(str(jit.cache_folder()))
+    cache: Any = twice
+    assert cache._cache.cache_path.startswith(str(jit.cache_folder()))
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason='root may write everywhere')

@@ -17,7 +17,8 @@ from hybridreg_ros.core.pages import give_back, has_pages, one_heap, paged, resi
 @pytest.mark.parametrize('shape', [(), 0, 7, (5, 3), (0, 4)])
 @pytest.mark.parametrize('dtype', [np.int8, np.float32, np.int64])
 def test_it_is_an_array_of_zeros(shape: int | tuple[int, ...], dtype: type) -> None:
-    found, expected = zeros(shape, dtype), np.zeros(shape, dtype)
+    found = zeros(shape, dtype)
+    expected: np.ndarray = np.zeros(shape, dtype)
     assert found.dtype == dtype
     np.testing.assert_array_equal(found, expected)
     found[...] = 1

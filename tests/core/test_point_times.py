@@ -34,6 +34,7 @@ def read(raw, stamp, **options):
 def test_units_found_by_themselves(name, raw):
     times, note = read(raw, STAMP)
     assert note == ''
+    assert times is not None
     np.testing.assert_allclose(times, TRUE_S, atol=2e-6)
 
 
@@ -105,6 +106,7 @@ def test_a_few_odd_times_do_not_decide(name, raw, odd):
         pytest.skip('whole numbers hold no NaN')
     raw[[7, 30]] = np.nan if odd == 'nan' else np.asarray(odd).astype(raw.dtype)
     found = to_seconds(raw, STAMP)
+    assert found.seconds is not None
     good = np.delete(np.arange(50), [7, 30])
     np.testing.assert_allclose(found.seconds[good], TRUE_S[good], atol=1e-6)
     if found.keep.all():  # zero, or 3.6 ns, is a time of this scan

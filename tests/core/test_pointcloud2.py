@@ -77,6 +77,7 @@ def test_one_mask_for_all_fields():
     t = np.array([0.0, 0.01, 0.02, 0.03], dtype=np.float32)
     scan = to_scan(message(from_arrays(points, {'t': t})))
     np.testing.assert_array_equal(scan.rows, [0, 3])
+    assert scan.times is not None
     np.testing.assert_allclose(scan.times, [0.0, 0.03], atol=1e-7)
     assert (len(scan), scan.size, scan.dropped) == (2, 4, 2)
 
@@ -85,11 +86,13 @@ def test_no_return_is_left_out_with_one_mask():
     points = np.array([[1, 2, 3], [0, 0, 0], [np.nan, 0, 0], [0.001, 0, 0], [7, 8, 9]])
     scan = to_scan(message(from_arrays(points, {'t': np.linspace(0, 0.1, 5)})))
     np.testing.assert_array_equal(scan.rows, [0, 4])
+    assert scan.times is not None
     np.testing.assert_allclose(scan.times, [0.0, 0.1])
     assert (scan.size, scan.dropped, scan.near) == (5, 3, 2)
     far = scan.beyond(5.0)
     np.testing.assert_array_equal(far.points, [[7, 8, 9]])
     np.testing.assert_array_equal(far.rows, [4])
+    assert far.times is not None
     np.testing.assert_allclose(far.times, [0.1])
     assert (far.size, far.dropped, far.near) == (5, 4, 3)
     assert far.beyond(1.0) is far
@@ -147,7 +150,7 @@ def test_with_field_keeps_the_input(big, rng):
 TURN_S = np.linspace(0.0, 0.1, 40)
 EPOCH_S = 1_760_000_000
 SICK_NS = (TURN_S * 1e9).astype(np.int64) + 948_000_000  # a second ends within the scan
-DRIVERS = {
+DRIVERS: dict[str, dict[str, np.ndarray]] = {
     'ouster': {'t': (TURN_S * 1e9).astype(np.uint32)},
     'velodyne': {'time': TURN_S.astype(np.float32)},
     'hesai': {'timestamp': TURN_S + EPOCH_S},
@@ -175,6 +178,7 @@ def test_times_of_every_driver(driver, rng):
     fields = DRIVERS[driver]
     msg = message(from_arrays(rng.normal(size=(40, 3)), fields), EPOCH_S * 10**9)
     scan = to_scan(msg)
+    assert scan.times is not None
     first = scan.times[0] if driver.startswith('sick') else 0.0
     np.testing.assert_allclose(scan.times - first, TURN_S, atol=1e-6)
     assert scan.times_from.split(' ')[0] in fields
@@ -194,6 +198,7 @@ def test_what_is_used_and_why_not(rng):
     assert to_scan(msg).times_from == 't (s)'
     scan = to_scan(msg, time_field='when')
     assert scan.times_from == 'when (s)'
+    assert scan.times is not None
     np.testing.assert_allclose(scan.times, TURN_S)
     scan = to_scan(msg, time_field='then')
     assert (scan.times, scan.times_from) == (None, 'none: no field then')
@@ -207,6 +212,7 @@ def test_a_point_of_another_scan_is_left_out_of_every_field(rng):
     scan = to_scan(message(from_arrays(rng.normal(size=(40, 3)), {'t': t})))
     assert (len(scan), scan.dropped) == (39, 1)
     assert 5 not in scan.rows
+    assert scan.times is not None
     np.testing.assert_allclose(scan.times, np.delete(TURN_S, 5))
     assert scan.notes == ('field t: 1 points left out whose times are not those of the scan',)
 

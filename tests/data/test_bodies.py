@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pytest
 
@@ -17,7 +19,12 @@ from hybridreg_ros.data.bodies.track import KeyFrames, Track, loop_track, straig
 from hybridreg_ros.data.pair import Label
 
 ORIGIN = np.zeros(3)
-MAKERS = {
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from hybridreg_ros.data.meshes.scene import Mover
+
+MAKERS: dict[str, Callable[..., Mover]] = {
     'cloth': movers.make_cloth,
     'door': movers.make_door,
     'suitcase': movers.make_suitcase,

@@ -260,8 +260,8 @@ def turn(n: int = 600, columns: int = 4) -> NDArray[np.float32]:
     angle = np.linspace(0, 2 * np.pi, n)
     far = rng.uniform(4, 30, n)
     table = [far * np.cos(angle), far * np.sin(angle), rng.uniform(-2, 3, n)]
-    table += [rng.uniform(0, 1, n), np.arange(n) % 32, np.linspace(0, 0.1, n)]
-    return np.column_stack(table)[:, :columns].astype('<f4')
+    rest = [rng.uniform(0, 1, n), np.arange(n) % 32, np.linspace(0, 0.1, n)]
+    return np.column_stack([*table, *rest])[:, :columns].astype('<f4')
 
 
 @pytest.mark.parametrize('columns', [3, 4, 5, 6])

@@ -68,7 +68,7 @@ def test_ply_with_other_properties_and_big_endian(tmp_path):
     body = b''.join(struct.pack('>Bddf', 9, k, k + 0.25, -k) for k in (1.0, 2.0))
     path = tmp_path / 'cloud.ply'
     path.write_bytes(head.encode() + body)
-    assert np.array_equal(read_cloud(path), np.float32([[1, -1, 1.25], [2, -2, 2.25]]))
+    assert np.array_equal(read_cloud(path), np.array([[1, -1, 1.25], [2, -2, 2.25]], np.float32))
 
 
 BAD = {

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -22,6 +23,12 @@ from hybridreg_ros.data.sensors.lidar_tables import TABLES
 pytest.importorskip('embreex')
 
 NOTHING = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))
+
+
+def standing(T: np.ndarray, time_s: float) -> np.ndarray:
+    return T
+
+
 FLOOR = box((200.0, 200.0, 1.0), (0.0, 0.0, -2.0))
 
 
@@ -113,7 +120,7 @@ def test_many_small_movers_equal_one_cast_of_all():
     movers = []
     for k in range(12):
         place = transform(np.eye(3), np.array([5 * np.cos(k), 5 * np.sin(k), 0.0]))
-        movers.append(RigidMover(box((0.5, 0.5, 2.0)), lambda t, T=place: T))
+        movers.append(RigidMover(box((0.5, 0.5, 2.0)), partial(standing, place)))
     scene = Scene(FLOOR, tuple(movers))
     scan = clean('wide64', 256).scan(Caster(scene), 0.0, still, np.random.default_rng(0))
     rays = clean('wide64', 256).directions().reshape(-1, 3)

@@ -13,7 +13,7 @@ from test_shards import tiny
 
 from hybridreg_ros.core.errors import DependencyError, FileFormatError
 from hybridreg_ros.data.hybridmatch.preview import limits_of, panels, write_preview
-from hybridreg_ros.data.hybridmatch.preview_raster import View, is_panorama, occupied, paint
+from hybridreg_ros.data.hybridmatch.preview_raster import Projection, is_panorama, occupied, paint
 from hybridreg_ros.data.hybridmatch.shards import encode_pair, write_shard
 from hybridreg_ros.data.hybridmatch.splits_files import Row
 from hybridreg_ros.data.hybridmatch.splits_summary import summarise
@@ -50,7 +50,7 @@ def test_missing_matplotlib_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_the_nearest_point_is_in_front() -> None:
     points = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 3.0], [0.5, 0.0, 2.0]], np.float32)
-    view = View('camera', np.eye(3), np.zeros(3), 100.0)
+    view = Projection('camera', np.eye(3), np.zeros(3), 100.0)
     image = paint(view, points, np.array([[200, 0, 0], [0, 200, 0], [0, 0, 200]]))
     middle = image[image.shape[0] // 2, image.shape[1] // 2]
     assert middle[0] > 100

@@ -30,6 +30,13 @@ class Slider:
         return moved(box([0.2, 0.2, 0.2]), [time_s, 0.0, 1.0])
 
 
+class Sideways(Slider):
+    """The same along y."""
+
+    def mesh_at(self, time_s: float) -> Mesh:
+        return moved(box([0.2, 0.2, 0.2]), [0.0, time_s, 1.0])
+
+
 def wall(z: float, half: float = 50.0) -> Mesh:
     corners = [[-half, -half, z], [half, -half, z], [half, half, z], [-half, half, z]]
     return Mesh(np.array(corners, np.float32), np.array([[0, 1, 2], [0, 2, 3]], np.int32))
@@ -126,8 +133,7 @@ def test_missing_embree_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_what_is_halted_stands_and_belongs_to_the_background() -> None:
-    scene = Scene(wall(3.0), (Slider(), Slider()))
-    scene.movers[1].mesh_at = lambda time_s: moved(box([0.2, 0.2, 0.2]), [0.0, time_s, 1.0])
+    scene = Scene(wall(3.0), (Slider(), Sideways()))
     caster = Caster(scene).halted(np.array([False, True]), 0.5)
     assert isinstance(caster.scene.movers[0], Standing)
     assert caster.scene.movers[1] is scene.movers[1]

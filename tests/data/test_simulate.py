@@ -117,6 +117,7 @@ def test_a_street_background_stands_still(street: list[SimulatedFrame]) -> None:
     for frame, after in ((street[0], street[1]), (street[1], street[2])):
         xi = log(inverse(frame.T_world_sensor) @ after.T_world_sensor)
         static = np.isfinite(frame.points).all(1) & (frame.label == 0)
+        assert frame.times is not None
         points, times = frame.points[static].astype(np.float64), frame.times[static]
         world = np.empty_like(points)
         for t in np.unique(times):

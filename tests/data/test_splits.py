@@ -12,7 +12,7 @@ import sys
 import time
 import tracemalloc
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ from hybridreg_ros.data.hybridmatch.take import Sample
 if TYPE_CHECKING:
     from pathlib import Path
 
-TRUTH = None
+TRUTH: Any = None
 SPLIT = 'room-match-10-30'
 
 

@@ -35,7 +35,8 @@ def test_ece_against_a_loop():
     for b in range(10):
         inside = [i for i in range(57) if b / 10 <= c[i] < (b + 1) / 10]
         if inside:
-            expected += len(inside) / 57 * abs(np.mean(c[inside]) - np.mean(r[inside]))
+            gap = abs(float(np.mean(c[inside])) - float(np.mean(r[inside])))
+            expected += len(inside) / 57 * gap
     assert cal.expected_calibration_error(c, r) == pytest.approx(expected)
 
 

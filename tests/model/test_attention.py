@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -13,7 +15,7 @@ from hybridreg_ros.model.config import ModelConfig
 from hybridreg_ros.model.geometry.pyramid import pairwise_bins
 from hybridreg_ros.model.network.attention import CrossLayer, GeometryTable, SelfLayer, sinusoids
 
-SMALL = {'dim': 32, 'heads': 4}
+SMALL: dict[str, Any] = {'dim': 32, 'heads': 4}
 
 
 def _layer(config: ModelConfig) -> tuple[GeometryTable, SelfLayer]:

@@ -16,7 +16,7 @@ from safetensors.torch import load_file, save_file
 
 from hybridreg_ros.core.errors import ConfigError, WeightsError
 from hybridreg_ros.model import checkpoint
-from hybridreg_ros.model.pose.confidence import Calibration, ConfidenceFeatures, feature_names
+from hybridreg_ros.model.pose.confidence import ConfidenceFeatures, PairCalibration, feature_names
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 @pytest.fixture
 def weights(tmp_path: Path, compact_net: HybridRegNet) -> Path:
     path = tmp_path / 'w.safetensors'
-    calibration = Calibration(bias=-3.0, fitted=True)
+    calibration = PairCalibration(bias=-3.0, fitted=True)
     checkpoint.save_network(path, compact_net, {'steps': 5}, calibration)
     return path
 
@@ -36,7 +36,7 @@ def test_round_trip(weights: Path, compact_net: HybridRegNet) -> None:
     loaded = checkpoint.load_checkpoint(weights)
     assert loaded.network.config == compact_net.config
     assert loaded.provenance == {'steps': 5}
-    assert loaded.calibration == Calibration(bias=-3.0, fitted=True)
+    assert loaded.calibration == PairCalibration(bias=-3.0, fitted=True)
     assert not loaded.network.training
     for name, value in compact_net.state_dict().items():
         assert torch.equal(loaded.network.state_dict()[name], value)
@@ -158,11 +158,11 @@ def test_packaged_weights_are_one_or_said_to_be_none(
 
 def test_calibration_checks_its_length() -> None:
     with pytest.raises(ConfigError, match='weights: expected 15 numbers, found 2'):
-        Calibration(weights=(1.0, 2.0))
+        PairCalibration(weights=(1.0, 2.0))
 
 
 def test_logistic_model_alone_is_the_probability_of_a_well_held_result() -> None:
-    calibration = Calibration()
+    calibration = PairCalibration()
     held = ConfidenceFeatures(log_inliers=4.0, overlap=0.5, constraint=0.2, support=1000)
     assert calibration.logistic(held.vector()) == pytest.approx(calibration.probability(held))
     loose = dataclasses.replace(held, support=15)

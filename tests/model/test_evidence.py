@@ -16,7 +16,7 @@ from hybridreg_ros.model.geometry.neighbours import CellList
 from hybridreg_ros.model.geometry.normals import surface_normals
 from hybridreg_ros.model.geometry.pyramid import build_pyramid
 from hybridreg_ros.model.geometry.views import View, fits
-from hybridreg_ros.model.pose.evidence import Evidence, trusted_fit
+from hybridreg_ros.model.pose.evidence import CloudEvidence, trusted_fit
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -38,13 +38,13 @@ def view(room: F32) -> View:
     return View.build(points, surface_normals(points, near), SENSOR)
 
 
-def _evidence(view: View, rng: np.random.Generator) -> Evidence:
+def _evidence(view: View, rng: np.random.Generator) -> CloudEvidence:
     """Full trust, and features that change over some 20 voxels."""
     count = len(view.points)
     waves = rng.normal(scale=0.1, size=(3, 12))
     features = np.sin(view.points @ waves + rng.uniform(0, 6, 12)).astype(np.float32)
     features /= np.linalg.norm(features, axis=1, keepdims=True)
-    return Evidence(np.zeros(count, np.float32), np.arange(count), features)
+    return CloudEvidence(np.zeros(count, np.float32), np.arange(count), features)
 
 
 def test_with_equal_trust_it_is_the_plain_fit(view: View, rng: np.random.Generator) -> None:
@@ -99,7 +99,7 @@ def test_evidence_of_an_encoding(compact_net: HybridRegNet, room: F32) -> None:
     pyramid = build_pyramid(room, 0.05, compact_net.config)
     with torch.no_grad():
         encoding = compact_net.encode(pyramid)
-    e = Evidence.of(encoding, np.full(len(pyramid.superpoints), 0.25, np.float32))
+    e = CloudEvidence.of(encoding, np.full(len(pyramid.superpoints), 0.25, np.float32))
     np.testing.assert_allclose(e.sigma2, 0.25, atol=1e-6)
     assert e.sigma2.shape == (len(pyramid.levels[0].points),)
     np.testing.assert_allclose(np.linalg.norm(e.features, axis=1), 1.0, rtol=1e-5)

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -43,7 +43,7 @@ def both(room: np.ndarray, net: HybridRegNet) -> list[tuple[Encoding, Encoding]]
 
 
 @pytest.mark.parametrize('change', [{}, {'extra_blocks': 0}, {'mask_outputs': 1, 'fine_level': 0}])
-def test_features_and_scores_agree(room: np.ndarray, change: dict[str, int]) -> None:
+def test_features_and_scores_agree(room: np.ndarray, change: dict[str, Any]) -> None:
     torch.manual_seed(5)
     net = HybridRegNet(dataclasses.replace(ModelConfig(), **change)).eval()
     (a, fa), (b, fb) = both(room, net)
@@ -59,7 +59,7 @@ def test_pose_confidence_and_uncertainty_agree(
     room: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     model = HybridReg.from_pretrained()
-    moved = (room + np.float32([0.3, -0.2, 0.1]))[: len(room) * 3 // 4]
+    moved = (room + np.array([0.3, -0.2, 0.1], np.float32))[: len(room) * 3 // 4]
     a, b = (model.encode(cloud, 0.065) for cloud in (room, moved))
     fast = model.match(a, b)
     monkeypatch.setattr(forward, 'has_compiled_form', lambda net: False)
@@ -75,7 +75,7 @@ def test_weights_are_packed_again_once_they_change(room: np.ndarray) -> None:
     first = weights_of(net)
     assert weights_of(net) is first
     with torch.no_grad():
-        net.project.bias += 1.0
+        net.project.bias.add_(1.0)
     assert weights_of(net) is not first
     (a, fa), _ = both(room, net)
     assert apart(fa.superpoint_features, a.superpoint_features) < FEATURES

@@ -47,7 +47,8 @@ def test_encode_once_equals_joint_forward(
     keyframe, first, second = _encodings(compact_net, room, other, room + SHIFT_M)
     compact_net.match(second, keyframe)
     kept = compact_net.match(first, keyframe)
-    joint = compact_net.match(*_encodings(compact_net, other, room))
+    a, b = _encodings(compact_net, other, room)
+    joint = compact_net.match(a, b)
     np.testing.assert_array_equal(kept.T_target_source, joint.T_target_source)
     np.testing.assert_array_equal(kept.weights, joint.weights)
     np.testing.assert_array_equal(kept.target_sigma2, joint.target_sigma2)
@@ -102,7 +103,8 @@ def test_profiles_run(name: str, rng: np.random.Generator) -> None:
     torch.manual_seed(0)
     net = HybridRegNet(ModelConfig.profile(name)).eval()
     cloud = rng.uniform(0, 1, (400, 3)).astype(np.float32)
-    match = net.match(*_encodings(net, cloud, cloud))
+    a, b = _encodings(net, cloud, cloud)
+    match = net.match(a, b)
     np.testing.assert_allclose(match.T_target_source, np.eye(4), atol=1e-2)
 
 
@@ -126,7 +128,8 @@ def test_paper_mask_is_selectable(room: np.ndarray) -> None:
 def test_ransac_is_selectable(room: np.ndarray) -> None:
     torch.manual_seed(3)
     net = HybridRegNet(ModelConfig(estimator='ransac'))
-    match = net.match(*_encodings(net, room, room + SHIFT_M))
+    a, b = _encodings(net, room, room + SHIFT_M)
+    match = net.match(a, b)
     np.testing.assert_allclose(match.T_target_source[:3, 3], SHIFT_M, atol=5e-2)
 
 

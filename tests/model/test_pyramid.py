@@ -19,7 +19,7 @@ from hybridreg_ros.model.geometry.pyramid import (
     metric_transform,
     voxel_transform,
 )
-from hybridreg_ros.model.geometry.upsampling import spread_to_level0, values_of_inputs
+from hybridreg_ros.model.geometry.upsampling import upsample_to_level0, values_of_inputs
 
 CONFIG = ModelConfig()
 
@@ -145,7 +145,7 @@ def test_bad_voxel_size(room: np.ndarray, voxel: float) -> None:
 def test_spread_interpolates_between_superpoints(room: np.ndarray) -> None:
     pyramid = build_pyramid(room, 0.05, CONFIG)
     height = pyramid.superpoints[:, 2].numpy()
-    level0 = spread_to_level0(pyramid, height)
+    level0 = upsample_to_level0(pyramid, height)
     true = pyramid.levels[0].points[:, 2].numpy()
     assert np.corrcoef(level0, true)[0, 1] > 0.95
     assert height.min() <= level0.min() <= level0.max() <= height.max()
@@ -158,5 +158,5 @@ def test_spread_reaches_lonely_points() -> None:
     cloud = np.concatenate([np.random.default_rng(0).random((300, 3)), [[40.0, 0, 0]]])
     config = ModelConfig(max_superpoints=8)
     pyramid = build_pyramid(cloud.astype(np.float32), 0.05, config)
-    level0 = spread_to_level0(pyramid, np.ones(len(pyramid.superpoints), np.float32))
+    level0 = upsample_to_level0(pyramid, np.ones(len(pyramid.superpoints), np.float32))
     np.testing.assert_allclose(level0, 1.0, atol=1e-6)

@@ -21,7 +21,7 @@ from hybridreg_ros.model.geometry.pyramid import build_pyramid
 from hybridreg_ros.model.geometry.views import View
 from hybridreg_ros.model.geometry.voxel_size import choose_voxel_size_m
 from hybridreg_ros.model.network import forward
-from hybridreg_ros.model.pose.confidence import Calibration, ConfidenceFeatures
+from hybridreg_ros.model.pose.confidence import ConfidenceFeatures, PairCalibration
 from hybridreg_ros.model.pose.posterior import posterior_sigma2
 from hybridreg_ros.model.pose.refine import refine
 
@@ -39,7 +39,8 @@ def model(compact_net: HybridRegNet) -> HybridReg:
 def test_result_of_a_shifted_copy(model: HybridReg, room: np.ndarray) -> None:
     holed = np.insert(room, 7, np.nan, axis=0)
     r = model.register(holed, room + SHIFT_M, voxel_size_m=0.05)
-    np.testing.assert_allclose(r.T_target_source, se3.transform(np.eye(3), SHIFT_M), atol=1e-3)
+    true = se3.transform(np.eye(3), SHIFT_M.astype(float))
+    np.testing.assert_allclose(r.T_target_source, true, atol=1e-3)
     assert r.T_target_source.dtype == np.float64
     assert 0.0 <= r.confidence <= 1.0
     assert r.source_uncertainty.shape == (len(holed),)
@@ -64,7 +65,7 @@ def test_register_equals_encode_and_match(model: HybridReg, room: np.ndarray) ->
 def test_encodings_keep_no_operators_of_the_backbone(model: HybridReg, room: np.ndarray) -> None:
     pyramid = build_pyramid(room, 0.05, model.config)
     kept = model.encode(room, 0.05).encoding
-    assert all(v.conv is v.pool is v.pool_index is None for v in kept.pyramid.levels)
+    assert all((v.conv, v.pool, v.pool_index) == (None, None, None) for v in kept.pyramid.levels)
     assert all(v.conv is not None for v in pyramid.levels)
     with torch.no_grad():
         whole = forward.encode(model.net, pyramid)
@@ -144,8 +145,8 @@ def test_tiny_clouds(model: HybridReg, rng: np.random.Generator, count: int) -> 
 
 
 def test_one_plane_gets_low_confidence(model: HybridReg, rng: np.random.Generator) -> None:
-    plane = rng.uniform(-2, 2, (4000, 3)).astype(np.float32) * np.float32([1, 1, 0])
-    assert model.register(plane, plane + np.float32([0.3, 0.1, 0])).confidence < 0.5
+    plane = rng.uniform(-2, 2, (4000, 3)).astype(np.float32) * np.array([1, 1, 0], np.float32)
+    assert model.register(plane, plane + np.array([0.3, 0.1, 0], np.float32)).confidence < 0.5
 
 
 @pytest.mark.parametrize('count', [0, 1, 2])
@@ -192,7 +193,8 @@ def test_wrong_shape_or_type(model: HybridReg, bad: np.ndarray) -> None:
 def test_voxel_size_follows_the_sensor(
     room: np.ndarray, scale: float, low: float, high: float
 ) -> None:
-    assert low <= choose_voxel_size_m(room * scale, room * scale) <= high
+    cloud = room * np.float32(scale)
+    assert low <= choose_voxel_size_m(cloud, cloud) <= high
 
 
 def _view(points: np.ndarray) -> View:
@@ -225,7 +227,7 @@ def test_refinement_ignores_what_moved(room: np.ndarray) -> None:
     voxels = room / np.float32(0.05)
     moving = (voxels[:, 0] > 30.0) & (voxels[:, 1] > 20.0)
     assert 0.05 < moving.mean() < 0.4
-    source = _view(voxels + np.where(moving[:, None], np.float32([0, 4.0, 0]), np.float32(0)))
+    source = _view(voxels + moving[:, None] * np.array([0, 4.0, 0], np.float32))
     refined = refine(source, _view(voxels), se3.exp(np.array([0.5, 0.3, 0.2, 0.01, 0, 0.01])))
     np.testing.assert_allclose(refined.V_target_source[:3, 3], 0.0, atol=0.1)
 
@@ -234,7 +236,7 @@ def test_posterior_uncertainty_follows_the_pose(room: np.ndarray) -> None:
     voxels = room / np.float32(0.05)
     moving = voxels[:, 0] > 60.0
     assert 0.05 < moving.mean() < 0.9
-    source = _view(voxels + np.where(moving[:, None], np.float32([0, 0, 30.0]), np.float32(0)))
+    source = _view(voxels + moving[:, None] * np.array([0, 0, 30.0], np.float32))
     prior = np.full(len(voxels), 0.5, np.float32)
     sure = posterior_sigma2(prior, source, _view(voxels), np.eye(4), 1.0)
     assert sure[~moving].mean() < 0.1
@@ -248,7 +250,7 @@ def test_confidence_grows_with_the_evidence() -> None:
     good = ConfidenceFeatures(5.0, 0.8, 0.8, 0.7, 0.4, 0.6, 0.3, 0.5, 900)
     weak = ConfidenceFeatures(2.0, 0.1, 0.1, 0.2, 0.8, 0.3, 0.05, 3.0, 900)
     plane = ConfidenceFeatures(5.0, 0.8, 0.5, 0.7, 0.4, 0.6, 0.002, 0.5, 900)
-    calibration = Calibration()
+    calibration = PairCalibration()
     assert calibration.probability(good) > 0.8
     assert calibration.probability(weak) < 0.1
     assert calibration.probability(plane) < 0.3

@@ -75,7 +75,7 @@ def test_what_moves_does_not_count(views: tuple[View, View], matches: Candidates
     everything = Opinion.none(views[0]), Opinion.none(views[1])
     before = traces(poses, matches, views, everything)
     assert column(before, 'intrusion')[0] > 0.02
-    x = [np.float32(v.sample[:, 0] < np.median(v.sample[:, 0])) for v in views]
+    x = [(v.sample[:, 0] < np.median(v.sample[:, 0])).astype(np.float32) for v in views]
     half = tuple(Opinion(w, w) for w in x)
     after = traces(poses, matches, views, half)  # type: ignore[arg-type]
     for name in ('trusted', 'intrusion', 'visible'):

@@ -47,7 +47,10 @@ def test_frame_turns_with_the_clouds(seed: int) -> None:
 
 def test_frame_does_not_depend_on_which_cloud_is_the_source() -> None:
     source, target = camera_view(0), camera_view(1)[:1500]
-    np.testing.assert_allclose(upright(source, target), upright(target, source), atol=1e-9)
+    one, other = upright(source, target), upright(target, source)
+    assert one is not None
+    assert other is not None
+    np.testing.assert_allclose(one, other, atol=1e-9)
 
 
 def test_view_all_round_or_next_to_nothing_has_no_frame() -> None:
@@ -63,4 +66,7 @@ def test_view_all_round_or_next_to_nothing_has_no_frame() -> None:
 def test_missing_points_change_nothing() -> None:
     source, target = camera_view(0), camera_view(1)
     holes = np.concatenate([np.full((1, 3), np.nan, np.float32), source])
-    np.testing.assert_allclose(upright(holes, target), upright(source, target), atol=1e-9)
+    one, other = upright(holes, target), upright(source, target)
+    assert one is not None
+    assert other is not None
+    np.testing.assert_allclose(one, other, atol=1e-9)

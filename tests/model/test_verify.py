@@ -19,7 +19,7 @@ from hybridreg_ros.model.geometry.normals import surface_normals
 from hybridreg_ros.model.geometry.views import View, fits, intrusions
 from hybridreg_ros.model.network.estimators import PointMatches, lgr
 from hybridreg_ros.model.pose.hypotheses import Candidates, consistent_hypotheses, distinct
-from hybridreg_ros.model.pose.plane_icp import polished
+from hybridreg_ros.model.pose.plane_icp import plane_icp
 from hybridreg_ros.model.pose.verify import Verified, propose, verify
 
 if TYPE_CHECKING:
@@ -181,10 +181,10 @@ def test_points_in_free_space_are_counted(room: F32) -> None:
     assert behind > 0.15  # then the source's sensor looked through the target
 
 
-def test_polishing_mends_a_rough_pose(views: tuple[View, View]) -> None:
+def test_plane_icp_mends_a_rough_pose(views: tuple[View, View]) -> None:
     rough = se3.exp(np.array([1.0, -0.8, 0.5, 0.02, -0.03, 0.02])) @ TRUE
     stages = [(views[1].wide, 3.0, 8), (views[1].grid, 1.5, 8)]
-    mended = polished(rough[None], *views, stages)[0]
+    mended = plane_icp(rough[None], *views, stages)[0]
     assert se3.is_rigid(mended)
     turn, shift = _error(mended, TRUE)
     assert turn < 0.5
@@ -194,9 +194,9 @@ def test_polishing_mends_a_rough_pose(views: tuple[View, View]) -> None:
 def test_register_keeps_the_pose_of_lgr(compact_net: HybridRegNet, room: F32) -> None:
     assert ModelConfig().estimator == 'verified'
     model = HybridReg(compact_net.config, compact_net)
-    r = model.register(room, room + np.float32([0.8, -0.4, 0.4]), voxel_size_m=0.05)
+    r = model.register(room, room + np.array([0.8, -0.4, 0.4], np.float32), voxel_size_m=0.05)
     plain = HybridReg(ModelConfig(estimator='lgr'), compact_net)
-    other = plain.register(room, room + np.float32([0.8, -0.4, 0.4]), voxel_size_m=0.05)
+    other = plain.register(room, room + np.array([0.8, -0.4, 0.4], np.float32), voxel_size_m=0.05)
     np.testing.assert_array_equal(r.T_lgr, other.T_lgr)
     assert r.features.fit > 0.5
     assert other.features.fit == 0.0
@@ -206,5 +206,5 @@ def test_grid_of_a_cloud_that_fills_space_stays_small() -> None:
     points = np.random.default_rng(0).uniform(-5000, 5000, (3000, 3)).astype(np.float32)
     grid = Grid.build(points, 1.0)
     assert grid.nearest.size <= 24_000_000
-    flat = points * np.float32([1, 1, 0.001])
+    flat = points * np.array([1, 1, 0.001], np.float32)
     assert Grid.build(flat, 1.0).nearest.shape[0] == 500

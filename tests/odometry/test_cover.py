@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import numpy as np
-from tiny_world import ROOM, Ball, cast, depth_rays, pose, walk
+from tiny_world import ROOM, Ball, Box, cast, depth_rays, pose, walk
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import Scan
@@ -24,11 +24,11 @@ def covered_walk() -> tuple[list[OdometryResult], list[np.ndarray]]:
     poses = walk(14, step_m=0.04, turn_deg=1.0)
     odometry, results = HybridOdometry(OdometryConfig(), model=None), []
     for k, T in enumerate(poses):
-        world = ROOM
+        world: tuple[Box | Ball, ...] = ROOM
         if k in COVERED:
             ahead = T[:3, 3] + 0.9 * T[:3, 0]
-            world = (*ROOM, Ball(tuple(ahead - 0.1 * k * np.array([0.0, 0.1, 0.0])), 0.42,
-                                 (0.0, 0.1, 0.0)))  # fmt: skip
+            x, y, z = ahead - 0.1 * k * np.array([0.0, 0.1, 0.0])
+            world = (*ROOM, Ball((x, y, z), 0.42, (0.0, 0.1, 0.0)))
         points = cast(world, T, RAYS, 0.1 * k, seed=k)[0]
         points = points[:20] if k in BLIND else points
         results.append(odometry.step(Scan(points, stamp=10.0 + 0.1 * k, frame_id='s')))

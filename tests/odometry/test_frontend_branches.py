@@ -14,7 +14,7 @@ from tiny_world import lidar_rays, pose, scans, walk
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import ConfigError
 from hybridreg_ros.core.scan import Scan
-from hybridreg_ros.odometry import network_branch
+from hybridreg_ros.odometry import tracker
 from hybridreg_ros.odometry.config import (
     FallbackConfig,
     KeyframeConfig,
@@ -58,9 +58,8 @@ def test_only_encodings_that_were_asked_for_last_are_kept() -> None:
     frames = [Keyframe(k, k, np.eye(4), points) for k, points in enumerate(clouds)]
     encodes = []
     for number in (0, 1, 0, 2, 0, 1):  # 1 is asked for longest ago when 2 comes
-        branch.begin(clouds[3])
-        before = registrar.encodes
-        assert branch.propose(frames[number]) is not None
+        before, scan = registrar.encodes, branch.encode(clouds[3])
+        assert branch.propose(scan, frames[number]) is not None
         encodes.append(registrar.encodes - before)
     assert encodes == [2, 2, 1, 2, 1, 2]  # the scan itself, and the keyframe if it was not kept
 
@@ -70,15 +69,15 @@ def test_encodings_of_keyframes_that_are_not_asked_for_go() -> None:
     branch = LearnedBranch(registrar, 8)
     clouds = [scan.points for scan in scans(walk(4), RAYS)]
     frames = [Keyframe(k, k, np.eye(4), points) for k, points in enumerate(clouds)]
-    branch.begin(clouds[3])
+    scan = branch.encode(clouds[3])
     for frame in frames[:3]:
-        assert branch.propose(frame) is not None
+        assert branch.propose(scan, frame) is not None
     assert registrar.encodes == 4
     branch.keep_only(frames[1:])
     for frame in frames[1:3]:
-        branch.propose(frame)
+        branch.propose(scan, frame)
     assert registrar.encodes == 4
-    branch.propose(frames[0])
+    branch.propose(scan, frames[0])
     assert registrar.encodes == 5
 
 
@@ -90,7 +89,7 @@ def test_only_recent_keyframes_keep_their_encodings_while_the_pose_is_known() ->
     tracker = odometry._tracker
     assert tracker is not None
     assert tracker._learned is not None
-    numbers = [f.number for f in tracker._scene.keyframes]
+    numbers = [f.number for f in tracker._world.keyframes]
     assert len(numbers) > 3
     assert sorted(tracker._learned._keyframes) == numbers[-2:]
 
@@ -99,16 +98,12 @@ def test_the_heap_is_given_back_after_a_scan_that_asked_the_network(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     given: list[int] = []
-    monkeypatch.setattr(network_branch, 'give_back', lambda: given.append(1))
-    clouds = [scan.points for scan in scans(walk(3), RAYS)]
-    branch = LearnedBranch(NeighbourhoodRegistrar(), 2)
-    branch.begin(clouds[0])
-    branch.begin(clouds[1])
-    assert not given
-    branch.propose(Keyframe(0, 0, np.eye(4), clouds[0]))
-    assert not given
-    branch.begin(clouds[2])
-    assert len(given) == 1
+    monkeypatch.setattr(tracker, 'give_back', lambda: given.append(1))
+    for model in (None, NeighbourhoodRegistrar()):
+        odometry = HybridOdometry(ASKING, model=model)
+        for scan in scans(walk(3), RAYS):
+            odometry.step(scan)
+        assert len(given) == (0 if model is None else 2)  # the first scan is a keyframe as it is
 
 
 def test_switch_has_hysteresis_and_no_jump() -> None:

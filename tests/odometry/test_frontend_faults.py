@@ -131,15 +131,15 @@ def test_a_tentative_pose_changes_neither_the_map_nor_the_past() -> None:
     for scan in clouds[:6]:
         odometry.step(scan)
     assert odometry._tracker is not None
-    scene = odometry._tracker._scene
-    before, last = scene.map.updates, scene.sightings._last
-    past = list(scene.dynamics._past)
+    world = odometry._tracker._world
+    before, last = world.map.updates, world.sightings._last
+    past = list(world.dynamics._past)
     doubted = odometry.step(with_crowd(clouds[6], 6))
     assert doubted.reason is Reason.LOW_CONFIDENCE
     assert not is_lost(doubted)
-    assert scene.map.updates == before
-    assert scene.dynamics._past == past
-    assert scene.sightings._last is not last
+    assert world.map.updates == before
+    assert world.dynamics._past == past
+    assert world.sightings._last is not last
 
 
 def test_close_to_the_prediction_is_looked_once_and_only_in_doubt(

@@ -4,10 +4,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from neighbourhood_registrar import NeighbourhoodRegistrar
 from tiny_world import depth_rays, lidar_rays, pose, scans, walk
 
 from hybridreg_ros.core import se3
@@ -15,10 +18,13 @@ from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.registration.kiss import KissRegistration
-from hybridreg_ros.odometry.result import OdometryResult, Reason, Source
+from hybridreg_ros.odometry.result import OdometryResult, Reason, Rest, Source
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
-def run(clouds: list, **settings: object) -> list[OdometryResult]:
+def run(clouds: list, **settings: Any) -> list[OdometryResult]:
     odometry = HybridOdometry(OdometryConfig(**settings), model=None)
     return [odometry.step(scan) for scan in clouds]
 
@@ -119,13 +125,13 @@ def test_reset_starts_a_new_odom_frame() -> None:
 
 def test_the_pose_is_given_before_the_map_knows_the_scan() -> None:
     clouds = scans(walk(5), lidar_rays())
-    odometry, early = HybridOdometry(OdometryConfig(), model=None), []
-
-    def posed(result: OdometryResult) -> None:
-        tracker = odometry._tracker
-        early.append((result, None if tracker is None else tracker._scene.map.updates))
-
-    results = [odometry.step(scan, posed) for scan in clouds]
+    odometry, early, results = HybridOdometry(OdometryConfig(), model=None), [], []
+    for scan in clouds:
+        first, rest = odometry.locate(scan)
+        assert odometry._tracker is not None
+        early.append((first, odometry._tracker._world.map.updates))
+        results.append(rest())
+        assert rest() is results[-1]  # it is done once
     plain = run(clouds)
     assert [n for _, n in early] == [1, 1, 2, 3, 4]  # the first scan is the map itself
     for (first, _), result, alone in zip(early, results, plain, strict=True):
@@ -137,9 +143,37 @@ def test_the_pose_is_given_before_the_map_knows_the_scan() -> None:
         assert np.array_equal(result.dynamic_probability, alone.dynamic_probability)
 
 
-def test_refused_scans_have_no_early_result() -> None:
-    clouds, early = scans(walk(2), lidar_rays()), []
+@pytest.mark.parametrize('by', ['another thread', 'nobody'])
+def test_the_rest_of_a_step_may_be_made_elsewhere(by: str) -> None:
+    clouds = scans(walk(6), lidar_rays())
+    odometry = HybridOdometry(OdometryConfig(), model=NeighbourhoodRegistrar())
+    alone = HybridOdometry(OdometryConfig(), model=NeighbourhoodRegistrar())
+    rests: list[Callable[[], OdometryResult]] = []
+    with ThreadPoolExecutor(1) as other:
+        for scan in clouds:
+            rest = odometry.locate(scan)[1]
+            rests.append(other.submit(rest).result if by == 'another thread' else rest)
+    for scan, whole in zip(clouds, rests, strict=True):
+        expected, found = alone.step(scan), whole()
+        assert np.array_equal(found.pose, expected.pose)
+        assert np.array_equal(found.dynamic_probability, expected.dynamic_probability)
+        assert found.is_keyframe == expected.is_keyframe
+
+
+def test_a_rest_that_fails_raises_where_it_was_made_and_holds_nobody_up() -> None:
+    rest = Rest(partial(divmod, 1, 0))
+    with pytest.raises(ZeroDivisionError):
+        rest()
+    rest.wait()
+    with pytest.raises(RuntimeError, match='the rest of this step failed'):
+        rest()
+
+
+def test_the_rest_of_a_refused_scan_is_its_refusal() -> None:
+    clouds = scans(walk(2), lidar_rays())
     odometry = HybridOdometry(OdometryConfig(), model=None)
-    for scan in (*clouds, clouds[1]):
-        odometry.step(scan, early.append)
-    assert len(early) == 2
+    for scan in clouds:
+        odometry.step(scan)
+    result, rest = odometry.locate(clouds[1])
+    assert not result.accepted
+    assert rest() is result

@@ -46,12 +46,12 @@ def test_scans_of_a_loop_are_not_bent(report: ModuleType, tmp_path: Path) -> Non
     assert off == pytest.approx(speed * bent[0].scan.times[late], rel=0.3)
 
 
-def test_growth_is_counted_from_where_the_loop_has_settled(
+def test_growth_is_counted_from_where_the_loop_has_warmed_up(
     report: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told = iter([700.0, 703.0, 703.5, 704.0])
     for module in (report, suite_memory):
-        monkeypatch.setattr(module, 'SETTLED', 1)
+        monkeypatch.setattr(module, 'WARM_STEPS', 1)
     monkeypatch.setattr(report, 'resident_mb', lambda: next(told))
     row = report.measure(scans(walk(3), depth_rays()), 0.1, 12)
     assert row['resident_mb'] == {'1': 700.0, '5': 703.0, '10': 703.5, '11': 704.0}

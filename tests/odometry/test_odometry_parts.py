@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pytest
 from tiny_world import ROOM, Ball, Box, cast, depth_rays, lidar_rays, pose, walk
@@ -33,13 +35,13 @@ from hybridreg_ros.odometry.preprocess import (
     recognise_sensor,
 )
 from hybridreg_ros.odometry.registration import covariance
-from hybridreg_ros.odometry.registration.alignment import assess, refine
+from hybridreg_ros.odometry.registration.alignment import align, assess
 from hybridreg_ros.odometry.result import LOST_VARIANCE, Reason
 from hybridreg_ros.odometry.selection.pose_confidence import (
-    Evidence,
+    PoseEvidence,
     judge,
     of_evidence,
-    weakness,
+    worst_axis,
 )
 from hybridreg_ros.odometry.visibility.range_image import (
     BEHIND,
@@ -49,6 +51,9 @@ from hybridreg_ros.odometry.visibility.range_image import (
     RangeImage,
     view_of,
 )
+
+if TYPE_CHECKING:
+    from hybridreg_ros.odometry.registration.alignment import Basin
 
 CLOUD = cast(ROOM, pose(-1.0, -0.5, 0.0), lidar_rays(360, 40))[0]
 
@@ -200,10 +205,10 @@ def filled_map(voxel_m: float = 0.15) -> LocalMap:
         ('coarse', [0.3, -0.2, 0.05, 0.02, 0.0, 0.3]),
     ],
 )
-def test_refinement_comes_back_from_an_offset(basin: str, offset: list[float]) -> None:
+def test_refinement_comes_back_from_an_offset(basin: Basin, offset: list[float]) -> None:
     guess = se3.exp(np.array(offset))
     points = cast(ROOM, pose(-1.0, -0.5, 0.0), lidar_rays(360, 40), seed=5)[0][::3]
-    fit = refine(points, guess, filled_map(), RefineConfig(max_iterations=40), basin=basin)
+    fit = align(points, guess, filled_map(), RefineConfig(max_iterations=40), basin=basin)
     assert np.linalg.norm(fit.T_odom_sensor[:3, 3]) < 0.003
     assert se3.rotation_angle_deg(fit.T_odom_sensor[:3, :3]) < 0.05
     assert fit.overlap > 0.9
@@ -215,7 +220,7 @@ def test_refinement_ignores_points_of_no_weight() -> None:
     local_map.update(intruder + 0.1, np.zeros(3))
     points = np.concatenate([CLOUD[::5], intruder]).astype(np.float32)
     weights = np.r_[np.ones(len(CLOUD[::5])), np.zeros(len(intruder))]
-    fit = refine(points, np.eye(4), local_map, RefineConfig(), weights, 'fine')
+    fit = align(points, np.eye(4), local_map, RefineConfig(), weights, 'fine')
     assert np.linalg.norm(fit.T_odom_sensor[:3, 3]) < 0.002
 
 
@@ -300,18 +305,22 @@ def test_thing_that_came_stands_in_front() -> None:
 
 
 def test_confidence_orders_evidence_and_judges_faults() -> None:
-    good, poor = Evidence(0.95, 0.9, 0.97, 0.0, -2.7), Evidence(0.55, 0.9, 0.6, 0.0, -2.0)
+    good, poor = PoseEvidence(0.95, 0.9, 0.97, 0.0, -2.7), PoseEvidence(0.55, 0.9, 0.6, 0.0, -2.0)
     assert of_evidence(good) > 0.95 > 0.75 > of_evidence(poor) > 0.02
-    assert of_evidence(Evidence(0.95, 0.9, 0.97, 0.0, -1.0)) < 0.5  # one direction is held loosely
-    assert weakness(1e-5) == weakness(0.003) < weakness(0.03) == pytest.approx(-1.523, abs=1e-3)
+    assert (
+        of_evidence(PoseEvidence(0.95, 0.9, 0.97, 0.0, -1.0)) < 0.5
+    )  # one direction is held loosely
+    assert (
+        worst_axis(1e-5) == worst_axis(0.003) < worst_axis(0.03) == pytest.approx(-1.523, abs=1e-3)
+    )
     gate = GateConfig()
     far = pose(30.0, 0.0, 0.0)
     at = np.eye(4)
     assert judge(good, at, at, 0.1, 0.1, gate).fault is None
     assert judge(poor, far, at, 0.1, 0.1, gate).fault is Reason.DISAGREES_WITH_MOTION
     assert judge(good, far, at, 0.1, 0.1, gate).fault is None
-    assert judge(Evidence(0.1, 0.9, 0.9), at, at, 0.1, 0.1, gate).fault is Reason.NO_OVERLAP
-    hanging = Evidence(0.9, 0.9, 0.1)
+    assert judge(PoseEvidence(0.1, 0.9, 0.9), at, at, 0.1, 0.1, gate).fault is Reason.NO_OVERLAP
+    hanging = PoseEvidence(0.9, 0.9, 0.1)
     assert judge(hanging, at, at, 0.1, 0.1, gate).fault is Reason.REFINEMENT_FAILED
 
 
@@ -373,5 +382,5 @@ def test_memory_stays_bounded_over_many_frames() -> None:
         odometry.step(Scan(points, stamp=10.0 + 0.1 * k, frame_id='s'))
         tracker = odometry._tracker
         assert tracker is not None
-        sizes.append(len(tracker._scene.map.fine.points()))
+        sizes.append(len(tracker._world.map.fine.points()))
     assert sizes[-1] <= 1.02 * sizes[15]

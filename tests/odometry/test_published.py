@@ -40,7 +40,7 @@ class Published:
 
 def published(folder: Path, clouds: list[Scan], truth: list[np.ndarray]) -> Published:
     """Write a bag, replay it through the command, read the files back."""
-    bag = folder / 'scene.mcap'
+    bag = folder / 'world.mcap'
     with BagWriter(bag) as writer:
         write_recording(
             (

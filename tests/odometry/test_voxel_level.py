@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -117,7 +119,12 @@ def test_points_are_packed_before_more_rows_are_taken(monkeypatch: pytest.Monkey
     """All voxels outgrow their rows together, so those that they leave fit no other one."""
     packs: list[int] = []
     pack = voxel_map.pack
-    monkeypatch.setattr(voxel_map, 'pack', lambda *args: packs.append(args[2]) or pack(*args))
+
+    def counted(*args: Any) -> Any:
+        packs.append(args[2])
+        return pack(*args)
+
+    monkeypatch.setattr(voxel_map, 'pack', counted)
     corners = SIZE * np.stack(np.meshgrid(*[np.arange(12.0)] * 3), -1).reshape(-1, 3)
     places = np.array([(x, y, 0.2) for x in (0.07, 0.24, 0.41) for y in (0.07, 0.24, 0.41)])
     level = VoxelLevel(SIZE, MOST)

@@ -287,9 +287,9 @@ def test_stamps_of_zero_are_log_times(
             writer.write_raw(topic, POINT_CLOUD2, time, raw)
     with open_bag(path) as bag:
         frames = list(bag.frames())
-        raw = [bag.decode(message).header.stamp for message in bag.messages()]
+        times = [bag.decode(message).header.stamp for message in bag.messages()]
     assert [f.scan.stamp for f in frames if f.scan] == STAMPS[:3]
-    assert [s.sec * 10**9 + s.nanosec for s in raw] == STAMPS[:3]
+    assert [s.sec * 10**9 + s.nanosec for s in times] == STAMPS[:3]
     assert caplog.text.count('stamps of /points are zero: log times stand in') == 1
 
 

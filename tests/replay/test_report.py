@@ -227,7 +227,7 @@ def labelled_cloud(stamp: int, labels: list[int]) -> Any:
 
 def about_frame(stamp: int, source: str) -> SimpleNamespace:
     """A report of the node about one frame."""
-    values = {'source': source, 'reason': 'not_needed', 'confidence': '0.75', 'total_ms': '12.5'}
+    values = {'source': source, 'reason': 'ok', 'confidence': '0.75', 'total_ms': '12.5'}
     pairs = [SimpleNamespace(key=k, value=v) for k, v in values.items()]
     return message(stamp, status=[SimpleNamespace(values=pairs)])
 
@@ -258,7 +258,7 @@ def test_live_recorder_joins_messages_of_any_order_and_thread(tmp_path: Path) ->
     frames = recorder.log.frames
     assert [f.stamp for f in frames] == [START + i * PERIOD for i in range(4)]
     assert [f.source for f in frames] == ['', 'kiss_icp', '', 'lost']
-    assert [f.reason for f in frames] == ['', 'not_needed', '', 'not_needed']
+    assert [f.reason for f in frames] == ['', 'ok', '', 'ok']
     assert (frames[1].confidence, frames[1].seconds) == (0.75, {'total': 0.0125})
     assert frames[0].mask == MaskCounts(tp=1, fp=1, fn=1, tn=2)
     assert frames[2].mask is None, 'its dynamic cloud never came'

@@ -61,10 +61,10 @@ def test_suites_are_as_large_as_promised_and_on_new_seeds() -> None:
     assert not {s.name for s in chosen('dev')} & {s.name for s in scored}
 
 
-CLAIM = json.dumps(dict.fromkeys(calibration.CLAIM, 1))
+REPORTED = json.dumps(dict.fromkeys(calibration.REPORTED, 1))
 WITH = (
     '{"evidence": {"bias": 0, "weights": %s}, "covariance_scale": %s, '
-    f'"confidence": {{"bias": 0, "weights": {CLAIM}}}}}'
+    f'"confidence": {{"bias": 0, "weights": {REPORTED}}}}}'
 )
 WEIGHTS = json.dumps(dict.fromkeys(calibration.EVIDENCE, 1))
 
@@ -217,11 +217,11 @@ def test_plots_show_each_suite_that_was_run(tmp_path: Path) -> None:
     assert all(p.read_bytes().startswith(b'\x89PNG') for p in written)
 
 
-def evidences(name: str, seed: int) -> suite_fit.Evidences:
+def evidences(name: str, seed: int) -> suite_fit.EvidenceSamples:
     rng = np.random.default_rng(seed)
     features = rng.uniform(0.0, 1.0, (400, len(calibration.EVIDENCE)))
     right = rng.uniform(size=400) < 1.0 / (1.0 + np.exp(-(8.0 * features[:, 0] - 4.0)))
-    return suite_fit.Evidences(name, features, right, rng.chisquare(6, 300) * 2.0)
+    return suite_fit.EvidenceSamples(name, features, right, rng.chisquare(6, 300) * 2.0)
 
 
 def test_fit_finds_the_weights_and_the_scale(tmp_path: Path) -> None:
@@ -247,7 +247,10 @@ def test_fit_of_one_kind_only_is_an_error() -> None:
         ('{}', 'cannot read the calibration'),
         ('no json', 'cannot read the calibration'),
         (WITH % ('{"x": 1}', '{}'), 'expected weights of consistent'),
-        ((WITH % (WEIGHTS, '{}')).replace('rival', 'rivals'), 'expected weights of evident'),
+        (
+            (WITH % (WEIGHTS, '{}')).replace('runner_up', 'runners_up'),
+            'expected weights of evident',
+        ),
         (WITH % (WEIGHTS, '{"depth": 1}'), 'scales of depth, lidar, found depth'),
         (WITH % (WEIGHTS, '{"depth": 1, "lidar": -1}'), 'positive covariance scales'),
     ],
@@ -280,12 +283,12 @@ def test_predictions_are_off_only_in_jolted_runs(monkeypatch: pytest.MonkeyPatch
 def test_distinct_leaves_repetitions_out() -> None:
     from hybridreg_ros.odometry.registration.alignment import Fit
     from hybridreg_ros.odometry.selection.candidates import Candidate
-    from hybridreg_ros.odometry.selection.pose_confidence import Evidence, Verdict
+    from hybridreg_ros.odometry.selection.pose_confidence import PoseEvidence, Verdict
 
     def at(x: float) -> Candidate:
         pose = se3.transform(np.eye(3), np.array([x, 0.0, 0.0]))
         fit = Fit(pose, np.eye(6), 1.0, 0.1, True, 1e-6 * np.eye(6))
-        return Candidate(fit, Evidence(1.0, 1.0, 1.0), Verdict(1.0, None), fit.T_odom_sensor)
+        return Candidate(fit, PoseEvidence(1.0, 1.0, 1.0), Verdict(1.0, None), fit.T_odom_sensor)
 
     assert len(suite_fit._distinct([at(0.0), at(0.002), at(0.5), at(0.501)])) == 2
 
@@ -355,23 +358,23 @@ def test_a_missing_rival_names_the_extra(rival, module, monkeypatch) -> None:
         rival(0.1, 10.0, 0.1)
 
 
-def _claims(name: str, rng: np.random.Generator, count: int) -> suite_confidence.Claims:
-    """Claims of poses that are wrong where the evidence is weak or a rival strong."""
-    features = rng.uniform(0.0, 1.0, (count, len(calibration.CLAIM)))
+def _samples(name: str, rng: np.random.Generator, count: int) -> suite_confidence.ReportedSamples:
+    """Poses that are wrong where the evidence is weak or a runner-up strong."""
+    features = rng.uniform(0.0, 1.0, (count, len(calibration.REPORTED)))
     features[:, 0] = rng.uniform(-1.0, 6.0, count)
     score = features[:, 0] - 4.0 * features[:, -1]
     right = rng.uniform(size=count) < 1.0 / (1.0 + np.exp(-score))
-    return suite_confidence.Claims(name, features, right)
+    return suite_confidence.ReportedSamples(name, features, right)
 
 
 def test_the_confidence_learns_what_speaks_against_a_pose(tmp_path: Path) -> None:
     rng = np.random.default_rng(7)
-    parts = [_claims(f'dev-room-{k}', rng, 2000) for k in range(4)]
+    parts = [_samples(f'dev-room-{k}', rng, 2000) for k in range(4)]
     found, quality = suite_confidence.fit(parts)
     weights = found.confidence.weights
     assert weights['evident'] == pytest.approx(1.0, abs=0.15)
-    assert weights['rival'] == pytest.approx(-4.0, abs=0.5)
-    assert max(abs(weights[k]) for k in ('unmatched', 'scatter', 'surprise')) < 0.4
+    assert weights['runner_up'] == pytest.approx(-4.0, abs=0.5)
+    assert max(abs(weights[k]) for k in ('unmatched', 'disagreement', 'innovation')) < 0.4
     assert quality['ece_left_out'] < 0.03
     told, shown = quality['above_gate_left_out'], quality['above_gate_by_evidence']
     assert told['wrong'] / told['poses'] < 0.7 * shown['wrong'] / shown['poses']
@@ -379,18 +382,18 @@ def test_the_confidence_learns_what_speaks_against_a_pose(tmp_path: Path) -> Non
     file = tmp_path / 'calibration.json'
     file.write_text(json.dumps(found.to_dict()))
     assert calibration.read(file).confidence == found.confidence
-    again = suite_confidence.Claims.from_dict(json.loads(json.dumps(parts[0].to_dict())))
+    again = suite_confidence.ReportedSamples.from_dict(json.loads(json.dumps(parts[0].to_dict())))
     np.testing.assert_array_equal(again.features, parts[0].features)
     right = replace(parts[0], right=np.ones(2000, np.bool_))
     with pytest.raises(HybridRegError, match='nothing to fit: 2000 of 2000'):
         suite_confidence.fit([right])
 
 
-def test_claims_are_gathered_as_they_are_reported(tmp_path: Path) -> None:
+def test_confidences_are_gathered_as_they_are_reported(tmp_path: Path) -> None:
     sequence = replace(chosen('dev', ['dev-room-501'])[0], frames=5)
     frames = suite_data.load(sequence, tmp_path, tmp_path)
     found = suite_confidence.gather(sequence, frames, 1, OdometryConfig(), model=None)
-    assert found.features.shape == (4, len(calibration.CLAIM))
+    assert found.features.shape == (4, len(calibration.REPORTED))
     assert found.right.all()
     few = Scan(frames[2].scan.points[:20], stamp=frames[2].scan.stamp, frame_id='sensor')
     covered = [*frames[:2], replace(frames[2], scan=few), *frames[3:]]

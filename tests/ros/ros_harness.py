@@ -73,6 +73,9 @@ def cloud(points: np.ndarray, stamp: int, frame: str = FRAME, **extra: np.ndarra
 class Probe:
     """Subscribed to everything one odometry node publishes."""
 
+    process: NodeProcess  # what is probed
+    tf: Any = None
+
     def __init__(self, namespace: str, reliable: bool = True) -> None:
         os.environ.update(LOCALHOST)
         fastdds.prepare()

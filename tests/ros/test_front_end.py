@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -19,5 +21,6 @@ def test_warm_up_leaves_no_trace_in_the_network() -> None:
     assert warm.has_weights
     assert set(vars(warm.odometry._registrar)) == set(vars(fresh))
     cloud = np.random.default_rng(0).uniform(-3.0, 3.0, (3000, 3)).astype(np.float32)
-    voxels_m = [m.sequence().encode(cloud).voxel_size_m for m in (fresh, warm.odometry._registrar)]
+    models: list[Any] = [fresh, warm.odometry._registrar]
+    voxels_m = [m.sequence().encode(cloud).voxel_size_m for m in models]
     assert voxels_m[0] == voxels_m[1]

@@ -34,6 +34,8 @@ def test_launch_files_name_real_executables_and_files(path):
 def test_launch_description_is_made(path):
     pytest.importorskip('launch_ros', reason='launch_ros is not on PyPI (needs an installed ROS)')
     spec = importlib.util.spec_from_file_location(path.stem.replace('.', '_'), path)
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     assert module.generate_launch_description().entities
@@ -48,7 +50,7 @@ def test_launch_arguments_are_parameters_of_the_node():
     configs = (NodeConfig(), OdometryConfig())
     known = {leaf.name for config in configs for leaf in leaves(config)} | {'use_sim_time'}
     tree = ast.parse((ROOT / 'launch' / 'odometry.launch.py').read_text(encoding='utf-8'))
-    tables = {n.targets[0].id: n.value for n in tree.body if isinstance(n, ast.Assign)}
+    tables = {ast.unparse(n.targets[0]): n.value for n in tree.body if isinstance(n, ast.Assign)}
     used = set(ast.literal_eval(tables['PARAMETERS']))
     assert {'base_frame', 'use_sim_time'} <= used <= known
 

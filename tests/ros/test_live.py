@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed (pip install hybridreg_ros[ros])')
@@ -34,7 +36,10 @@ def offline(path, topic=None):
 
 
 def test_every_frame_comes_back_and_equals_the_offline_run(bag):
-    odom, dynamic, static, frames = [], [], [], []
+    odom: list[Any] = []
+    dynamic: list[Any] = []
+    static: list[Any] = []
+    frames: list[Any] = []
     report = run_live(
         bag, '/lidar/points', KISS, odom.append, dynamic.append, static.append, frames.append,
         domain_id=domain(),
@@ -72,7 +77,7 @@ def test_drops_are_reported_and_the_rest_still_equals(tmp_path):
                 data = type(data)(**{**vars(data), 'point_step': 4})
             stamp = 10**12 + (k - (k == 6)) * 10**8
             writer.write_cloud('/points', stamp, 'lidar', data)
-    odom = []
+    odom: list[Any] = []
     report = run_live(path, None, KISS, odom.append, domain_id=domain())
     assert report.dropped == {'bad_cloud': 1, 'stamp_repeated': 1}
     assert (report.sent, report.received_odom, report.missing) == (8, 6, 0)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 from itertools import count
+from typing import Any
 
 import numpy as np
 import pytest
@@ -117,7 +118,7 @@ def test_dynamic_and_static_points_partition_the_input(probe):
 def test_best_effort_publishers_are_heard(probe):
     publisher = probe.node.create_publisher(PointCloud2, 'points', profile(False, 50))
     probe.wait(publisher.get_subscription_count, 'the match')
-    sent = []
+    sent: list[Any] = []
 
     def heard() -> bool:
         """One cloud a second until one is answered: what comes before both ends match is lost."""

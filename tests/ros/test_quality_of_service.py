@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,7 +35,8 @@ def probe():
 
 
 def test_auto_follows_the_publishers(probe):
-    node, got = probe.node, []
+    node = probe.node
+    got: list[Any] = []
     subscription = CloudSubscription(node, 'auto', 10, got.append, lambda _: None)
     assert subscription.state == 'waiting for a publisher'
     assert all_reliable(node, subscription.topic) is None
@@ -70,7 +72,9 @@ def test_a_mismatch_is_one_clear_warning(probe, capfd):
 
 
 def test_what_a_full_history_overwrites_is_counted(probe):
-    node, got, lost = probe.node, [], []
+    node = probe.node
+    got: list[Any] = []
+    lost: list[Any] = []
 
     def slow(msg: PointCloud2) -> None:
         got.append(msg.header.stamp.sec)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from itertools import count
+from typing import Any
 
 import numpy as np
 import pytest
@@ -63,7 +64,7 @@ def listen(probe) -> list[TransformStamped]:
 @pytest.fixture(scope='module')
 def probe():
     """One node for the module, its base frame known from /tf_static."""
-    frames = {'odom_frame': 'odom_tf_test', 'base_frame': 'base_tf_test'}
+    frames: dict[str, Any] = {'odom_frame': 'odom_tf_test', 'base_frame': 'base_tf_test'}
     with running('tf', **frames) as p:
         p.tf = listen(p)
         yield p
@@ -135,7 +136,7 @@ def test_no_tf_while_lost(probe):
 def test_base_frame_by_parameter():
     T = T_BASE_MOUNT
     numbers = (*map(float, T[:3, 3]), *map(float, to_quaternion(T[:3, :3])))
-    settings = {
+    settings: dict[str, Any] = {
         'base_frame': 'base_p', 'odom_frame': 'odom_p', 'extrinsic_source': 'parameter',
         'extrinsic': numbers,
     }  # fmt: skip

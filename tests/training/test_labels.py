@@ -93,8 +93,9 @@ def test_random_pair_against_loops():
     for cloud in (points, other):
         index = np.stack([rng.permutation(len(cloud))[:8] for _ in range(20)])
         clouds.append(lab.Patches(cloud, rng.random(len(cloud)) < 0.7, index))
-    labels = lab.pair_labels(*clouds, T, radius=0.4, rng=rng, max_pairs=10, max_anchors=15)
-    expected, near = naive_overlap(*clouds, T, 0.4)
+    a, b = clouds
+    labels = lab.pair_labels(a, b, T, radius=0.4, rng=rng, max_pairs=10, max_anchors=15)
+    expected, near = naive_overlap(a, b, T, 0.4)
     np.testing.assert_allclose(labels.overlap, expected, atol=1e-6)
     assert len(labels.pair_source) == 10
     for p, (i, j) in enumerate(zip(labels.pair_source, labels.pair_target, strict=True)):

@@ -8,6 +8,7 @@ import os
 import socket
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -55,7 +56,12 @@ def test_five_steps_leave_all_files(tiny_run):
 def test_small_numbers_are_flushed_during_training_alone(tiny_run, monkeypatch):
     seen = []
     step = Run.step
-    monkeypatch.setattr(Run, 'step', lambda *a: (seen.append(_tiny_product()), step(*a)))
+
+    def watched(*arguments):
+        seen.append(_tiny_product())
+        step(*arguments)
+
+    monkeypatch.setattr(Run, 'step', watched)
     train(tiny_run())
     assert seen == [0.0] * 5
     assert _tiny_product() > 0.0
@@ -76,7 +82,7 @@ def test_weights_move_and_the_average_lags_behind(tiny_run, tiny_weights):
     assert 0 < lag < moved
 
 
-def test_killed_and_resumed_equals_undisturbed(tiny_run):
+def test_killed_and_resumed_equals_undisturbed(tiny_run, monkeypatch):
     whole = tiny_run('whole', steps=6, validate_every=100)
     train(whole)
     broken = tiny_run('broken', steps=6, validate_every=100)
@@ -93,7 +99,7 @@ def test_killed_and_resumed_equals_undisturbed(tiny_run):
             raise KilledError
         step(*arguments)
 
-    run.step = step_until_killed
+    monkeypatch.setattr(run, 'step', step_until_killed)
     with pytest.raises(KilledError):
         run.loop()
     assert state_of(broken)['progress']['step'] == 4
@@ -112,15 +118,17 @@ def test_restart_from_weights_alone(tiny_run):
     assert not run.resume()
 
 
-def test_two_pairs_accumulated_equal_the_mean_gradient(tiny_run):
+def test_two_pairs_accumulated_equal_the_mean_gradient(tiny_run, monkeypatch):
     config = tiny_run(accumulate=2, steps=1)
     run = Run(config)
-    gradients = {}
+    gradients: dict[str, Any] = {}
 
     def keep(factor):
-        gradients.update({n: p.grad.clone() for n, p in run.network.named_parameters()})
+        for name, parameter in run.network.named_parameters():
+            assert parameter.grad is not None
+            gradients[name] = parameter.grad.clone()
 
-    run.optimizer.step = keep
+    monkeypatch.setattr(run.optimizer, 'step', keep)
     run.loop()
     from hybridreg_ros.training.samples import SampleStream
     from hybridreg_ros.training.step import pair_losses
@@ -137,13 +145,13 @@ def test_a_gradient_that_is_not_finite_is_skipped(tiny_run, monkeypatch):
     config = tiny_run(steps=2, validate_every=100)
     run = Run(config)
     before = {k: v.clone() for k, v in run.network.state_dict().items()}
-    from hybridreg_ros.training import loop
+    from hybridreg_ros.training import loop, step
 
     def broken(network, sample, loss):
         terms = real(network, sample, loss)
         return terms._replace(total=terms.total * float('nan'))
 
-    real = loop.pair_losses
+    real = step.pair_losses
     monkeypatch.setattr(loop, 'pair_losses', broken)
     run.loop()
     assert run.progress.step == 2
@@ -167,18 +175,18 @@ def test_time_limit_ends_the_run(tiny_run):
 
 @pytest.mark.parametrize('mask', ['none', 'bce', 'l1', 'nll', 'log_sum_exp'])
 @pytest.mark.parametrize('coarse', ['cross_entropy', 'circle', 'both'])
-def test_every_loss_trains_with_finite_gradients(tiny_run, mask, coarse):
+def test_every_loss_trains_with_finite_gradients(tiny_run, monkeypatch, mask, coarse):
     base = tiny_run()
     loss = dataclasses.replace(base.loss, mask=mask, coarse=coarse)
     run = Run(dataclasses.replace(base, loss=loss, steps=1, validate_every=100))
-    norms = []
+    norms: list[float] = []
     real = run.optimizer.step
 
     def keep(factor):
         norms.extend(float(p.grad.norm()) for p in run.network.parameters() if p.grad is not None)
         real(factor)
 
-    run.optimizer.step = keep
+    monkeypatch.setattr(run.optimizer, 'step', keep)
     run.loop()
     assert np.isfinite(norms).all()
     assert sum(n > 0 for n in norms) > 20

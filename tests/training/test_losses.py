@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -116,6 +117,7 @@ def test_point_matching_loss_against_loops():
     none = losses.point_matching_loss(log_plan, torch.zeros_like(labels), valid)
     none.backward()
     assert none.item() == 0.0
+    assert log_plan.grad is not None
     assert torch.isfinite(log_plan.grad).all()
 
 
@@ -156,6 +158,7 @@ def test_mask_losses_balance_the_classes():
     assert good.item() < 1e-3
     assert losses.mask_bce(-logit, trusted).item() > 5.0
     good.backward()
+    assert logit.grad is not None
     assert torch.isfinite(logit.grad).all()
 
 
@@ -175,7 +178,7 @@ def test_laplace_nll_against_scipy():
     generator = torch.Generator().manual_seed(3)
     mu, a = torch.rand(3, 4, generator=generator), torch.randn(3, 4, generator=generator)
     c = torch.rand(3, 4, generator=generator) < 0.4
-    parts = {True: [], False: []}
+    parts: dict[bool, list[Any]] = {True: [], False: []}
     density = []
     for i in range(3):
         for j in range(4):
@@ -197,6 +200,7 @@ def test_stop_gradient_is_selectable(loss, stop):
     c = torch.tensor([[True, False], [False, False]])
     loss(mu, c, losses.pair_log_variance(s, s), stop_gradient=stop).backward()
     assert (mu.grad is None) == stop
+    assert s.grad is not None
     assert torch.isfinite(s.grad).all()
     assert s.grad.abs().max() > 0
 
@@ -243,7 +247,8 @@ def test_false_match_loss_parts_points_that_have_no_partner():
     optimizer = torch.optim.Adam([features], lr=0.05)
     for _ in range(40):
         optimizer.zero_grad()
-        losses.false_match_loss(*F.normalize(features, dim=2), right, 0.05).backward()
+        source, target = F.normalize(features, dim=2)
+        losses.false_match_loss(source, target, right, 0.05).backward()
         optimizer.step()
     assert before > 0.8
     assert sure() < 0.3

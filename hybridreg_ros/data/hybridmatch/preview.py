@@ -15,7 +15,7 @@ from hybridreg_ros.data.hybridmatch.preview_raster import (
     BLUE,
     LABEL_COLOURS,
     ORANGE,
-    View,
+    Projection,
     depth_colours,
     occupied,
     paint,
@@ -112,14 +112,14 @@ def draw_sheet(pairs: Sequence[PointPair], path: Path) -> None:
 
 def panels(pair: PointPair) -> list[NDArray[np.uint8]]:
     """The four images (H, W, 3) of a pair: depth, labels, aligned, overlap."""
-    view = View.of(pair.source)
+    view = Projection.of(pair.source)
     in_target = apply(pair.T_target_source, pair.source)
     both = np.concatenate([in_target, pair.target])
     side = np.repeat([0, 1], [len(in_target), len(pair.target)])
     seen = occupied(in_target, pair.target, _NEAR_VOXELS * pair.voxel_size_m)
     common = np.where(seen[:, None], _GREEN, _GREY)
     common = np.where(pair.source_label[:, None] > 0, LABEL_COLOURS[pair.source_label], common)
-    outside = View.above(pair.target)
+    outside = Projection.above(pair.target)
     return [
         paint(view, pair.source, depth_colours(view.depth(pair.source))),
         paint(view, pair.source, LABEL_COLOURS[pair.source_label]),

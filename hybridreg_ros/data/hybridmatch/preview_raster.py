@@ -27,7 +27,7 @@ _STOPS = np.array([[48, 18, 59], [70, 110, 230], [40, 200, 180], [160, 250, 60],
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class Projection:
     """How points become pixels.
 
     Attributes:
@@ -43,24 +43,26 @@ class View:
     scale: float
 
     @staticmethod
-    def of(points: Floats) -> View:
+    def of(points: Floats) -> Projection:
         """The view of the sensor that took a cloud."""
         if is_panorama(points):
-            return View('panorama', np.eye(3), np.zeros(3), 0.0)
+            return Projection('panorama', np.eye(3), np.zeros(3), 0.0)
         tangent = np.quantile(np.abs(points[:, 0]) / np.maximum(points[:, 2], 1e-3), 0.998)
-        return View('camera', np.eye(3), np.zeros(3), 0.48 * _SIZE[0] / max(float(tangent), 0.1))
+        return Projection(
+            'camera', np.eye(3), np.zeros(3), 0.48 * _SIZE[0] / max(float(tangent), 0.1)
+        )
 
     @staticmethod
-    def above(points: Floats) -> View:
+    def above(points: Floats) -> Projection:
         """From above: straight for a lidar, aslant from behind for a camera."""
         low, high = np.quantile(points, [0.03, 0.97], axis=0).astype(np.float64)
         centre = 0.5 * (low + high)
         if is_panorama(points):
             scale = 0.92 * min(np.array(_SIZE) / np.maximum(high - low, 1.0)[:2])
             R = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
-            return View('above', R, centre, float(scale))
+            return Projection('above', R, centre, float(scale))
         reach = float(np.linalg.norm(high - low))
-        return View('above', rot_x(0.75), centre, 0.8 * _SIZE[0] / reach)
+        return Projection('above', rot_x(0.75), centre, 0.8 * _SIZE[0] / reach)
 
     def depth(self, points: Floats) -> F64:
         """Distance (N,) from the viewer, metres."""
@@ -92,7 +94,7 @@ def depth_colours(depth: F64) -> NDArray[np.int64]:
     return np.stack([np.interp(at, range(len(_STOPS)), stop) for stop in _STOPS.T], 1).astype(int)
 
 
-def paint(view: View, points: Floats, colours: NDArray[np.integer]) -> U8:
+def paint(view: Projection, points: Floats, colours: NDArray[np.integer]) -> U8:
     """Image (H, W, 3) of points (N, 3) with colours (N, 3), darker with the distance."""
     width, height = _SIZE
     depth = view.depth(points)

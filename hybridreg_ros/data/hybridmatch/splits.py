@@ -118,7 +118,7 @@ def generate_split(
         raise ConfigError(f'expected at least 1 pair and 1 worker, found {pairs} and {workers}')
     report = progress or (lambda done, wanted: None)
     folder, job, store = Path(out), _Job(split, seed, layout), LAYOUTS[layout]
-    summary = _claim(folder, job, pairs)
+    summary = _reserve(folder, job, pairs)
     if summary is None:
         rows: list[Row] = []
         scenes = 0
@@ -142,7 +142,7 @@ def generate_split(
     return summary
 
 
-def _claim(folder: Path, job: _Job, pairs: int) -> SplitSummary | None:
+def _reserve(folder: Path, job: _Job, pairs: int) -> SplitSummary | None:
     """Make sure that a folder is for this job; its summary when it is already complete.
 
     Raises:

@@ -42,7 +42,7 @@ _CROPS_M = (80.0, 60.0, 45.0, 34.0, 26.0, 20.0, 15.0, 12.0)
 
 
 @dataclass(frozen=True, eq=False)
-class _View:
+class _SensorView:
     """One scan as a list of points, deskewed as well as a real front end can.
 
     Attributes:
@@ -67,11 +67,11 @@ class _View:
     T_world_sensor: F64
     time_s: float
 
-    def rows(self, keep: NDArray[np.int64]) -> _View:
+    def rows(self, keep: NDArray[np.int64]) -> _SensorView:
         """The view of some points."""
-        return _View(self.points[keep], self.true[keep], self.label[keep], self.instance[keep],
-                     self.crowd[keep], self.plane[keep], self.sigma_m[keep],
-                     self.T_world_sensor, self.time_s)  # fmt: skip
+        return _SensorView(self.points[keep], self.true[keep], self.label[keep],
+                           self.instance[keep], self.crowd[keep], self.plane[keep],
+                           self.sigma_m[keep], self.T_world_sensor, self.time_s)  # fmt: skip
 
     @cached_property
     def polar(self) -> tuple[F32, F32]:
@@ -97,7 +97,7 @@ class _Crop:
     sector: float
     thin_m: float
 
-    def of(self, view: _View) -> _View:
+    def of(self, view: _SensorView) -> _SensorView:
         """The kept and thinned points of a view."""
         away, off = view.polar
         stays = np.ones(max(view.plane.max(initial=0), self.drop.max(initial=0)) + 1, np.bool_)
@@ -194,8 +194,8 @@ def _affordable(lidar: SpinningLidar) -> SpinningLidar:
 def _take(
     rng: np.random.Generator, world: StreetWorld, caster: Caster, lidar: SpinningLidar,
     time_s: float, frozen_s: float | None, *, shift: bool = False,
-    pose: _View | None = None,
-) -> _View:  # fmt: skip
+    pose: _SensorView | None = None,
+) -> _SensorView:  # fmt: skip
     """Scan from the way at a time, or with `pose` from exactly that view's place.
 
     The scan is taken on the move and deskewed with a slightly wrong velocity, as a front end
@@ -226,12 +226,12 @@ def _take(
     skew = np.linalg.norm((best - raw).reshape(-1, 3)[rows], axis=1)
     sigma = np.hypot(lidar.sigma_m(np.linalg.norm(points[rows], axis=1)), _DESKEW_ERROR * skew)
     crowd = scan.mover.reshape(-1)[rows]
-    return _View(points[rows], scan.true.reshape(-1, 3)[rows], label, instance, crowd,
+    return _SensorView(points[rows], scan.true.reshape(-1, 3)[rows], label, instance, crowd,
                  plane.astype(np.int32), sigma, pose_at(time_s), time_s)  # fmt: skip
 
 
 def _fit(
-    rng: np.random.Generator, source: _View, target: _View, cell: Cell
+    rng: np.random.Generator, source: _SensorView, target: _SensorView, cell: Cell
 ) -> tuple[PointPair, _Crop, F32, NDArray[np.bool_]] | None:
     """The first of some random crops with which a pair suits its cell, None when none does.
 
@@ -259,7 +259,7 @@ def _fit(
 
 
 def _measure(
-    source: _View, target: _View, T: F64, cell: Cell
+    source: _SensorView, target: _SensorView, T: F64, cell: Cell
 ) -> tuple[PointPair, NDArray[np.bool_]] | None:
     """The pair of two cropped views and which source points are seen; None if it suits not."""
     if min(len(source.points), len(target.points)) < _MIN_POINTS:

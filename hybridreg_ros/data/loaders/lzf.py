@@ -19,8 +19,9 @@ def decompress(packed: bytes, size: int) -> bytes:
     Raises:
         ValueError: the data are damaged.
 
-    >>> decompress(bytes([2, 97, 98, 99, 0x80, 2]), 9)
-    b'abcabcabc'
+    Examples:
+        >>> decompress(bytes([2, 97, 98, 99, 0x80, 2]), 9)
+        b'abcabcabc'
     """
     out = bytearray()
     place = 0

@@ -151,8 +151,8 @@ def _flying(
         )
         if spot is None:
             continue
-        sway = rng.uniform(0.05, 0.35)
-        low, high = sway * np.array([0.4, 0.4, 0.0, 0.3]), sway * np.array([1.0, 1.0, 0.15, 3.0])
+        swing = rng.uniform(0.05, 0.35)
+        low, high = swing * np.array([0.4, 0.4, 0.0, 0.3]), swing * np.array([1.0, 1.0, 0.15, 3.0])
         keys = _keys(rng, low, high, float(rng.uniform(0.5, 2.0)))
         mesh = room.pool.take(rng, size)
         path = Path(spot - [0.0, 0.0, 0.5 * size], 0.0, keys)

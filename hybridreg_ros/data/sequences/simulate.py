@@ -185,9 +185,9 @@ def _poses(
     phase = rng.uniform(0.0, 2.0 * np.pi, 4)
     poses = []
     for place, angle, t in zip(places, look, times, strict=True):
-        sway = np.sin(2.0 * np.pi * np.array([1.7, 0.31, 0.23, 0.41]) * t + phase)
-        eye = np.array([*place, height + 0.012 * sway[0]])
-        tilt = pitch + 0.04 * sway[1]
-        ahead = [np.cos(angle + 0.05 * sway[2]), np.sin(angle + 0.05 * sway[2]), np.tan(tilt)]
-        poses.append(look_at(eye, eye + np.array(ahead), 0.03 * sway[3]))
+        wobble = np.sin(2.0 * np.pi * np.array([1.7, 0.31, 0.23, 0.41]) * t + phase)
+        eye = np.array([*place, height + 0.012 * wobble[0]])
+        tilt = pitch + 0.04 * wobble[1]
+        ahead = [np.cos(angle + 0.05 * wobble[2]), np.sin(angle + 0.05 * wobble[2]), np.tan(tilt)]
+        poses.append(look_at(eye, eye + np.array(ahead), 0.03 * wobble[3]))
     return np.stack(poses), share

@@ -35,13 +35,13 @@ class Accompanying:
 
     Attributes:
         terrain: the ground with the centre line.
-        offset_m: distance to the left of the centre line; it sways a little.
+        offset_m: distance to the left of the centre line; it weaves a little.
         ahead_m: place relative to the sensor at time 0, along the centre line.
         speed_mps: speed on the ground, negative against the centre line.
         ego_start_m: place of the sensor on the centre line at time 0.
         ego_speed_mps: speed of the sensor.
         reach_m: half length of the window.
-        sway: amplitude (m), wavelength (m) and phase of the sway.
+        weave: amplitude (m), wavelength (m) and phase of the weaving.
     """
 
     terrain: Terrain
@@ -51,7 +51,7 @@ class Accompanying:
     ego_start_m: float
     ego_speed_mps: float
     reach_m: float
-    sway: tuple[float, float, float] = (0.0, 10.0, 0.0)
+    weave: tuple[float, float, float] = (0.0, 10.0, 0.0)
 
     def at(self, distance_m: float) -> tuple[F64, float]:
         """Place (2,), metres, and heading, radians, after a distance travelled."""
@@ -60,7 +60,7 @@ class Accompanying:
         lap = run % (2.0 * self.reach_m) - self.reach_m
         s = self.ego_start_m + self.ego_speed_mps * time_s + lap
         place, heading = self.terrain.centre.at(s)
-        size, wave, phase = self.sway
+        size, wave, phase = self.weave
         d = self.offset_m + size * np.sin(s / wave + phase)
         left = np.array([-np.sin(heading), np.cos(heading)])
         turn = np.arctan(size / wave * np.cos(s / wave + phase))
@@ -177,9 +177,9 @@ def _way(
 ) -> Accompanying:
     offset = _clear(rng, layout.walks, ride.offset_m, 0.95)
     sign = 1.0 if rng.random() < 0.5 else -1.0
-    sway = (float(rng.uniform(0.0, 0.12)), float(rng.uniform(2.0, 8.0)), float(rng.uniform(0, 6)))
+    weave = (float(rng.uniform(0.0, 0.12)), float(rng.uniform(2.0, 8.0)), float(rng.uniform(0, 6)))
     return Accompanying(layout.terrain, offset, float(rng.uniform(-near_m, near_m)), sign * speed,
-                        ride.start_m, ride.speed_mps, near_m, sway)  # fmt: skip
+                        ride.start_m, ride.speed_mps, near_m, weave)  # fmt: skip
 
 
 def _walker(

@@ -177,7 +177,7 @@ def build_pyramid(
 
 
 @dataclass(frozen=True, eq=False)
-class _Grid:
+class _Level:
     """Voxel barycentres (N, 3), sorted Morton keys, and the owner of each point of last level."""
 
     points: NDArray[np.float32]
@@ -187,7 +187,7 @@ class _Grid:
 
 def _grids(
     points: NDArray[np.float32], voxel_size_m: float, config: ModelConfig
-) -> tuple[list[_Grid], NDArray[np.int32], NDArray[np.float64]]:
+) -> tuple[list[_Level], NDArray[np.int32], NDArray[np.float64]]:
     """Barycentres of all levels, the finest point of every input, and the origin in metres."""
     if not (np.isfinite(voxel_size_m) and voxel_size_m > 0.0):
         raise RegistrationError(f'voxel_size_m: expected > 0, found {voxel_size_m}')
@@ -233,25 +233,25 @@ def _merge(
     order: NDArray[np.int64],
     scale: float,
     shift: NDArray[np.float64],
-) -> _Grid:
+) -> _Level:
     """One barycentre per voxel."""
     starts = ops.runs_of(sorted_keys)
     means = ops.barycentres(points, order, starts, scale, shift)
-    return _Grid(means, sorted_keys[starts[:-1]], ops.run_of_each(order, starts))
+    return _Level(means, sorted_keys[starts[:-1]], ops.run_of_each(order, starts))
 
 
-def _thin(grid: _Grid, limit: int) -> _Grid:
+def _thin(grid: _Level, limit: int) -> _Level:
     """Keep `limit` voxels evenly along the Morton curve; the others go to the nearest kept one."""
     n = len(grid.points)
     if n <= limit:
         return grid
     kept = np.linspace(0, n - 1, limit).round().astype(np.int64)
     nearest = np.searchsorted((kept[1:] + kept[:-1]) / 2.0, np.arange(n)).astype(np.int32)
-    return _Grid(grid.points[kept], grid.keys[kept], nearest[grid.owner])
+    return _Level(grid.points[kept], grid.keys[kept], nearest[grid.owner])
 
 
 def _levels(
-    grids: list[_Grid], config: ModelConfig
+    grids: list[_Level], config: ModelConfig
 ) -> tuple[tuple[Level, ...], NDArray[np.float32]]:
     """Neighbourhoods and influence weights of all levels; normals of the finest."""
     levels, normals = [], np.zeros((0, 3), np.float32)

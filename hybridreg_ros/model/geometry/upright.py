@@ -4,7 +4,7 @@
 
 It is found from the clouds alone, so it turns with them: whatever is done in it is the same for
 every way in which the sensor is mounted. A view all round says nothing about its frame (measured
-on simulated streets: the vertical has the right sign in 55 %, see docs/training.md).
+on simulated streets: the vertical has the right sign in 55 %, see docs/lab, 2026-11-22).
 """
 
 from __future__ import annotations

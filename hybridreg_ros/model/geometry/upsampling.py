@@ -53,7 +53,7 @@ def _interpolate(
     return out
 
 
-def spread_to_level0(
+def upsample_to_level0(
     pyramid: Pyramid, values: NDArray[np.float32], rows: NDArray[np.int64] | None = None
 ) -> NDArray[np.float32]:
     """Interpolate values of the superpoints to every finest point, or to those listed.

@@ -37,7 +37,7 @@ class ConfidenceFeatures:
             surfaces let the clouds slide (one plane, a corridor).
         correction: distance that the refinement moved the cloud's centre, voxels.
         support: number of source points tried with a target point within one voxel; not part
-            of the logistic model, see `Calibration.probability`.
+            of the logistic model, see `PairCalibration.probability`.
         fit: share of both clouds that lies on the other, nearer counts more.
         intrusion: share of both clouds in space that the other's sensor looked through.
         lead: of the pose over the best one that differs, 1 less the ratio of their odds.
@@ -121,7 +121,7 @@ _FULL_SUPPORT = 150
 
 
 @dataclass(frozen=True)
-class Calibration:
+class PairCalibration:
     """Logistic model of the confidence, stored with the weights."""
 
     weights: tuple[float, ...] = option(_DEFAULT_WEIGHTS, 'one per confidence feature')

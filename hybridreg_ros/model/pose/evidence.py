@@ -13,7 +13,7 @@ from torch.nn import functional
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.model.geometry.grid import cell_point, cosine, moved
-from hybridreg_ros.model.geometry.upsampling import spread_to_level0
+from hybridreg_ros.model.geometry.upsampling import upsample_to_level0
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,7 +33,7 @@ _CERTAIN_AFTER = 10.0
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class CloudEvidence:
     """What the network knows of the points of a cloud when it has seen the other.
 
     Attributes:
@@ -47,15 +47,15 @@ class Evidence:
     features: F32
 
     @classmethod
-    def of(cls, encoding: Encoding, sigma2: F32) -> Evidence:
-        """Evidence of an encoded cloud; sigma2: (S,) float32 of every superpoint."""
+    def of(cls, encoding: Encoding, sigma2: F32) -> CloudEvidence:
+        """The evidence of an encoded cloud; sigma2: (S,) float32 of every superpoint."""
         pyramid = encoding.pyramid
         owner = np.arange(len(pyramid.levels[0].points))
         for level in pyramid.levels[: pyramid.fine_level]:
             assert level.up_index is not None
             owner = level.up_index.cpu().numpy()[owner]
         features = functional.normalize(encoding.fine_features, dim=1).cpu().numpy()
-        return cls(spread_to_level0(pyramid, sigma2), owner, features)
+        return cls(upsample_to_level0(pyramid, sigma2), owner, features)
 
     @property
     def side(self) -> Side:
@@ -65,11 +65,11 @@ class Evidence:
 
 def evidence_of(
     source: EncodedCloud, target: EncodedCloud, found: MatchOutput
-) -> tuple[Evidence, Evidence]:
+) -> tuple[CloudEvidence, CloudEvidence]:
     """What the network knows of the points of both clouds."""
     return (
-        Evidence.of(source.encoding, found.source_sigma2),
-        Evidence.of(target.encoding, found.target_sigma2),
+        CloudEvidence.of(source.encoding, found.source_sigma2),
+        CloudEvidence.of(target.encoding, found.target_sigma2),
     )
 
 
@@ -122,7 +122,7 @@ def _one_way(
 def trusted_fit(
     T: F64,
     views: tuple[View, View],
-    evidence: tuple[Evidence, Evidence],
+    evidence: tuple[CloudEvidence, CloudEvidence],
     radius: float = 1.5,
 ) -> tuple[float, float]:
     """How the trusted points of two clouds lie on each other, and how alike what meets is.

@@ -219,7 +219,9 @@ def aligned_both_ways(
     return T
 
 
-def polished(T: F64, source: View, target: View, stages: Sequence[tuple[Grid, float, int]]) -> F64:
+def plane_icp(
+    T: F64, source: View, target: View, stages: Sequence[tuple[Grid, float, int]]
+) -> F64:
     """Each of B poses (B, 4, 4) after an alignment of the source's sample.
 
     Args:

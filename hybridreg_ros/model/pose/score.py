@@ -11,7 +11,7 @@ import numpy as np
 
 from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.model.geometry.grid import cell_point, cosine, moved
-from hybridreg_ros.model.geometry.upsampling import spread_to_level0
+from hybridreg_ros.model.geometry.upsampling import upsample_to_level0
 from hybridreg_ros.model.geometry.views import View, depth_behind, inverse
 from hybridreg_ros.model.network.estimators import weighted_inliers
 
@@ -53,7 +53,7 @@ TRACES = (
 """
 
 WEIGHTS = np.array([-2.72, 9.03, 54.40, 10.33, -137.60, -31.30, 9.66, 2.15])
-"""Log-odds per trace, by `scripts/fit_score.py` (see docs/training.md)."""
+"""Log-odds per trace, by `scripts/fit_score.py` (docs/lab, 2026-11-22)."""
 
 UNMASKED_WEIGHTS = np.array([-12.88, 31.08, 31.08, 12.17, -55.01, -37.58, 8.12, 3.79])
 """The same where there is no mask, by `scripts/fit_score.py --no-mask`."""
@@ -74,7 +74,7 @@ class Opinion:
     @classmethod
     def of(cls, view: View, pyramid: Pyramid, sigma2: F32, static: F32) -> Opinion:
         """Spread what the mask says of the superpoints (S,) of a cloud over its view's sample."""
-        both = spread_to_level0(pyramid, np.column_stack([1.0 - sigma2, static]), view.rows)
+        both = upsample_to_level0(pyramid, np.column_stack([1.0 - sigma2, static]), view.rows)
         return cls(*np.ascontiguousarray(both.T))
 
     @classmethod

@@ -14,7 +14,7 @@ from hybridreg_ros.model.geometry.views import View, fits, intrusions
 from hybridreg_ros.model.network.descriptors import MATCH_TEMPERATURE, likely_pairs
 from hybridreg_ros.model.network.estimators import weighted_inliers
 from hybridreg_ros.model.pose.hypotheses import Candidates, consistent_hypotheses, distinct
-from hybridreg_ros.model.pose.plane_icp import polished
+from hybridreg_ros.model.pose.plane_icp import plane_icp
 from hybridreg_ros.model.pose.score import (
     AGREEMENT_RADIUS,
     FIT_RADIUS,
@@ -137,7 +137,7 @@ def _ranked(poses: F64, matches: Candidates, views: tuple[View, View]) -> Propos
     ]
     rank = _rough_scores(poses, matches, (source, target))
     best = np.sort(np.argsort(-rank, kind='stable')[:_ALIGNED])
-    moved = polished(poses[best], source, target, stages)
+    moved = plane_icp(poses[best], source, target, stages)
     return Proposals(
         np.concatenate([poses, moved]),
         np.concatenate([rank, _rough_scores(moved, matches, (source, target))]),
@@ -162,7 +162,7 @@ def finalists(
     rank = np.concatenate([proposals.rank, given.rank])
     poses = poses[distinct(poses, rank, _probes(source), _SPACING, _FINALISTS)]
     last = [(target.grid, FIT_RADIUS, _FINAL_ROUNDS)]
-    return np.concatenate([poses, polished(poses, source, target, last)])
+    return np.concatenate([poses, plane_icp(poses, source, target, last)])
 
 
 def _probes(view: View) -> F64:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Backdrop: the large still surface behind things, found in spite of what stands before it."""
+"""Background: the large still surface behind things, found in spite of what stands before it."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def lies_on_plane(
     return on
 
 
-def lies_on_backdrop(
+def lies_on_background(
     points: NDArray[np.floating],
     sensor: NDArray[np.float64],
     level: VoxelLevel,
@@ -81,7 +81,7 @@ def lies_on_backdrop(
 
 @compiled
 def _lie_on(places, sensor, slack, grid, up, least, out):  # type: ignore[no-untyped-def]
-    """The kernel of `lies_on_backdrop`."""
+    """The kernel of `lies_on_background`."""
     found = buffer(grid)
     for row in range(len(places)):
         x, y, z = places[row, 0], places[row, 1], places[row, 2]

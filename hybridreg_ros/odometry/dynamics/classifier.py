@@ -13,7 +13,7 @@ import numpy as np
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.dynamics import cells, objects, segments
-from hybridreg_ros.odometry.dynamics.background import lies_on_backdrop, lies_on_plane
+from hybridreg_ros.odometry.dynamics.background import lies_on_background, lies_on_plane
 from hybridreg_ros.odometry.map.thinning import occupied
 from hybridreg_ros.odometry.visibility.range_image import FRONT, ON, RangeImage
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.config import DynamicsConfig
     from hybridreg_ros.odometry.map.local_map import LocalMap
     from hybridreg_ros.odometry.preprocess import SensorModel
-    from hybridreg_ros.odometry.preprocessed import Cloud
+    from hybridreg_ros.odometry.preprocessed import PreprocessedScan
 
     F32 = NDArray[np.float32]
     F64 = NDArray[np.float64]
@@ -50,7 +50,7 @@ class _Past:
 
 
 @dataclass(frozen=True, eq=False)
-class _Grid:
+class _CellValues:
     """Cells of the last scan and their P(dynamic), odom frame."""
 
     table: NDArray[np.int64]
@@ -63,9 +63,9 @@ class Dynamics:
 
     A point that stands where two earlier scans saw through is something that came: a seed. Seeds
     grow to whole things (`objects`), but not over large planes (floors, walls), nor what lies on
-    the surface behind (`backdrop`); ground that a bent scan has raised is no seed. A cell that was
-    dynamic keeps a fading part of it. A point in a direction or behind a surface where no scan saw
-    anything is new: it moves only when the thing that it belongs to does.
+    the surface behind (`background`); ground that a bent scan has raised is no seed. A cell that
+    was dynamic keeps a fading part of it. A point in a direction or behind a surface where no
+    scan saw anything is new: it moves only when the thing that it belongs to does.
 
     Args:
         config: settings.
@@ -80,7 +80,7 @@ class Dynamics:
         self._slack_m = (config.tolerance or slack) * sensor.voxel_size_m
         self._slack_share = config.tolerance_share or share
         self._past: list[_Past] = []
-        self._grid: _Grid | None = None
+        self._grid: _CellValues | None = None
 
     def trust(self, points: F32, T_odom_sensor: F64) -> F32:
         """Weight (K,) of points for a registration: low near what moved in the last scan.
@@ -96,7 +96,7 @@ class Dynamics:
 
     def update(
         self,
-        cloud: Cloud,
+        cloud: PreprocessedScan,
         T_odom_sensor: F64,
         local_map: LocalMap,
         uncertainty: F32 | None = None,
@@ -138,8 +138,8 @@ class Dynamics:
         fading = self._config.decay * remembered
         fading[fading < _FORGOTTEN] = 0.0
         value = np.maximum(value, fading)
-        self._leave_backdrop(value, group >= 0, placed[first], T_odom_sensor[:3, 3], local_map)
-        self._grid = _Grid(table, slots, value)
+        self._leave_background(value, group >= 0, placed[first], T_odom_sensor[:3, 3], local_map)
+        self._grid = _CellValues(table, slots, value)
         of_cube = np.where(cell >= 0, value[cell], 0.0).astype(np.float32)
         return np.where(cloud.cube >= 0, of_cube[cloud.cube], np.float32(0.0))
 
@@ -243,7 +243,7 @@ class Dynamics:
         if self._kind != 'lidar' or len(rows) == 0:
             return
         still = rows[
-            lies_on_backdrop(
+            lies_on_background(
                 placed[rows], T_odom_sensor[:3, 3], local_map.coarse, _BENT * self._slack_m,
                 up=T_odom_sensor[:3, 2],
             )
@@ -251,13 +251,13 @@ class Dynamics:
         seed[still] = 0.0
         known[still] = True
 
-    def _leave_backdrop(
+    def _leave_background(
         self, value: F32, seed: NDArray[np.bool_], placed: F32, sensor: F64, local_map: LocalMap
     ) -> None:
         """Set the value (M,) of floors and walls to 0 where only their surroundings move."""
         rows = np.flatnonzero((value > 0.0) & ~seed)
         if len(rows):
-            still = lies_on_backdrop(placed[rows], sensor, local_map.coarse, self._slack_m)
+            still = lies_on_background(placed[rows], sensor, local_map.coarse, self._slack_m)
             value[rows[still]] = 0.0
 
     def _grown(

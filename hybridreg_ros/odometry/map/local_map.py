@@ -11,7 +11,7 @@ import numpy as np
 from hybridreg_ros.core.pages import zeros
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.map import voxel_map
-from hybridreg_ros.odometry.map.voxel_map import Grid
+from hybridreg_ros.odometry.map.voxel_map import VoxelTable
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -39,7 +39,7 @@ class VoxelLevel:
     def clear(self) -> None:
         """Forget everything."""
         self.used = 0
-        self.grid = Grid(
+        self.grid = VoxelTable(
             size=self.size_m,
             most=self._per_voxel,
             **_no_voxels(_START_VOXELS),

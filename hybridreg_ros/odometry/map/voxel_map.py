@@ -7,13 +7,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray  # noqa: TC002 (numba reads the annotations of Grid)
+from numpy.typing import NDArray  # noqa: TC002 (numba reads the annotations of VoxelTable)
 
 from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.odometry.map.voxel_hash import EMPTY, add_voxel, find_voxel, voxel_key
 
 
-class Grid(NamedTuple):
+class VoxelTable(NamedTuple):
     """One level of the map as the kernels see it.
 
     Attributes:
@@ -81,7 +81,7 @@ def insert(points, weights, origin, now_s, spacing_sq, grid, used):  # type: ign
             continue
         voxel = find_voxel(key, grid.slots, grid.keys)
         if voxel < 0:
-            if used >= len(grid.keys) or not _settle(used, grid):
+            if used >= len(grid.keys) or not _give_rows(used, grid):
                 return used, row
             voxel = used
             grid.keys[voxel] = key
@@ -124,7 +124,7 @@ def insert(points, weights, origin, now_s, spacing_sq, grid, used):  # type: ign
 
 
 @compiled
-def _settle(voxel, grid):  # type: ignore[no-untyped-def]
+def _give_rows(voxel, grid):  # type: ignore[no-untyped-def]
     """Give a new voxel its first row; false when there is none."""
     start = take(1, grid.free, grid.fitted)
     if start < 0:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Sway: how the sensor really moved during a scan, found together with its pose."""
+"""Intra-scan motion: how the sensor really moved during a scan, found together with its pose."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Sway:
+class IntraScanMotion:
     """Motion during a scan beyond that which its deskew has undone already.
 
     A point measured `s` seconds after the instant of its cloud is carried there by
@@ -57,7 +57,7 @@ class Sway:
         return moved
 
 
-NO_SWAY = Sway(np.zeros(6), np.zeros(6))
+NO_INTRA_SCAN_MOTION = IntraScanMotion(np.zeros(6), np.zeros(6))
 
 
 @compiled

@@ -15,7 +15,7 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import NS_PER_S
 
 if TYPE_CHECKING:
-    from hybridreg_ros.odometry.motion.intra_scan_motion import Sway
+    from hybridreg_ros.odometry.motion.intra_scan_motion import IntraScanMotion
 
 F64 = NDArray[np.float64]
 
@@ -174,7 +174,7 @@ class Start:
     Attributes:
         second: of its first point, after the instant of its cloud.
         pose: (4, 4) there with the motion that its deskew undid left out, so that it compares with
-            the pose of the cloud and its sway.
+            the pose of the cloud and its intra-scan motion.
         shift_m: standard deviation of its position along each axis, metres.
         turn_rad: standard deviation of its turn about each axis, rad.
     """
@@ -184,13 +184,13 @@ class Start:
     shift_m: float
     turn_rad: float
 
-    def pull(self, T_odom_sensor: F64, sway: Sway) -> tuple[F64, F64]:
-        """What it adds to the Gauss-Newton system of a pose (4, 4) and its sway, sensor frame.
+    def pull(self, T_odom_sensor: F64, intra_scan: IntraScanMotion) -> tuple[F64, F64]:
+        """What it adds to the Gauss-Newton system of pose and intra-scan motion, sensor frame.
 
         Returns:
             (18, 18) information of pose, rate and bend, and (18,) gradient.
         """
-        off = se3.log(se3.inverse(self.pose) @ T_odom_sensor @ sway.at(self.second))
+        off = se3.log(se3.inverse(self.pose) @ T_odom_sensor @ intra_scan.at(self.second))
         weight = np.repeat([self.shift_m**-2, self.turn_rad**-2], 3)
         powers = self.second ** np.arange(3)
         information = np.einsum('a,b,ij->aibj', powers, powers, np.diag(weight)).reshape(18, 18)

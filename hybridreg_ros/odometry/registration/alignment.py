@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.odometry.motion.intra_scan_motion import NO_SWAY, Sway
+from hybridreg_ros.odometry.motion.intra_scan_motion import NO_INTRA_SCAN_MOTION, IntraScanMotion
 from hybridreg_ros.odometry.registration import intra_scan_update, kernels
-from hybridreg_ros.odometry.registration.cluster_covariance import scatter
+from hybridreg_ros.odometry.registration.cluster_covariance import cluster_covariance
 from hybridreg_ros.odometry.registration.surfaces import Surfaces
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.config import RefineConfig
     from hybridreg_ros.odometry.map.local_map import LocalMap, VoxelLevel
     from hybridreg_ros.odometry.motion.prediction import Expected
-    from hybridreg_ros.odometry.preprocessed import Cloud
+    from hybridreg_ros.odometry.preprocessed import PreprocessedScan
 
 from typing import TYPE_CHECKING
 
@@ -55,9 +55,9 @@ class Fit:
         overlap: share of the points with a surface of the map nearby, [0, 1].
         scale_m: robust standard deviation of the plane residuals, metres.
         converged: False when the iterations ended while the pose still moved.
-        scatter: (6, 6) covariance of the pose error by how much the parts of the scan disagree,
-            m^2 and rad^2, same axes (`scatter.scatter`).
-        sway: motion during the scan that its deskew did not undo, when it was asked for.
+        cluster_covariance: (6, 6) covariance of the pose error by how much the parts of the scan
+            disagree, m^2 and rad^2, same axes (`cluster_covariance`).
+        intra_scan: motion during the scan that its deskew did not undo, when it was asked for.
     """
 
     T_odom_sensor: NDArray[np.float64]
@@ -65,11 +65,11 @@ class Fit:
     overlap: float
     scale_m: float
     converged: bool
-    scatter: NDArray[np.float64]
-    sway: Sway | None = None
+    cluster_covariance: NDArray[np.float64]
+    intra_scan: IntraScanMotion | None = None
 
 
-def refine(
+def align(
     points: NDArray[np.floating],
     T_odom_sensor: NDArray[np.float64],
     local_map: LocalMap,
@@ -102,16 +102,16 @@ def refine(
     T, converged, surfaces = _iterate(
         points, trust, start, levels, local_map, config, floor, prior
     )
-    if times is None or not config.sway:
+    if times is None or not config.intra_scan:
         if converged:  # it stands where it was paired last
             return _assessed(points, trust, T, surfaces, local_map, config, converged)
         return assess(points, T, local_map, config, weights, converged)
-    T, found = _with_sway(points, times, trust, T, local_map, config, prior)
+    T, found = _with_intra_scan_motion(points, times, trust, T, local_map, config, prior)
     fit = assess(found.undo(points, times), T, local_map, config, weights, converged)
-    return replace(fit, sway=found)
+    return replace(fit, intra_scan=found)
 
 
-def _with_sway(
+def _with_intra_scan_motion(
     points: NDArray[np.float64],
     times: NDArray[np.float64],
     trust: NDArray[np.float64],
@@ -119,13 +119,13 @@ def _with_sway(
     local_map: LocalMap,
     config: RefineConfig,
     prior: Expected | None,
-) -> tuple[NDArray[np.float64], Sway]:
+) -> tuple[NDArray[np.float64], IntraScanMotion]:
     """Pose and motion during the scan, from the pose of an even motion."""
-    level, found, moved = local_map.fine, NO_SWAY, points
+    level, found, moved = local_map.fine, NO_INTRA_SCAN_MOTION, points
     surfaces, order = Surfaces(len(points)), _by_range(points)
     half_span = 0.5 * float(times.max() - times.min())
     low = config.min_scale * level.size_m
-    for _ in range(config.sway_iterations):
+    for _ in range(config.intra_scan_iterations):
         surfaces.search(moved, T, local_map.of_surfaces, local_map.updates)
         lasting = by_age(trust, surfaces, local_map.age_s, config)
         step = 0.0
@@ -206,11 +206,13 @@ def _assessed(
     level = local_map.fine
     surfaces.measure(points, T_odom_sensor)
     scale = surfaces.scale(config.min_scale * level.size_m, level.size_m)
-    # Point-to-point pairs follow the sampling, not the scene: they say nothing about the error.
+    # Point-to-point pairs follow the sampling, not the world: they say nothing about the error.
     planes = np.where(surfaces.kind == kernels.PLANE, trust, 0.0)
     scales = surfaces.scales(_by_range(points), config.min_scale * level.size_m, level.size_m)
     H, b, any_way = _system(points, planes, T_odom_sensor, surfaces, scales, level)
-    disagreement = scatter(points, planes, T_odom_sensor, surfaces, scales, H, level.size_m)
+    by_clusters = cluster_covariance(
+        points, planes, T_odom_sensor, surfaces, scales, H, level.size_m
+    )
     H, _ = believed(H, b, any_way, config.loose)
     usable = trust > 0.5
     paired = usable & (surfaces.kind != kernels.NONE)
@@ -220,7 +222,7 @@ def _assessed(
         overlap=float(paired.sum() / max(1, usable.sum())),
         scale_m=scale,
         converged=converged,
-        scatter=disagreement,
+        cluster_covariance=by_clusters,
     )
 
 
@@ -353,8 +355,8 @@ def by_age(trust: F64, surfaces: Surfaces, age_s: float, config: RefineConfig) -
     return lowered
 
 
-def settle(
-    cloud: Cloud,
+def align_scan(
+    cloud: PreprocessedScan,
     T_odom_sensor: NDArray[np.float64],
     local_map: LocalMap,
     config: RefineConfig,
@@ -362,7 +364,7 @@ def settle(
     basin: Basin = 'fine',
     prior: Expected | None = None,
 ) -> Fit:
-    """Align a cloud with the map, from a first guess, as `refine` does its registered points.
+    """Align a cloud with the map, from a first guess, as `align` does its registered points.
 
     The information is that of the points that count as independent, and so is their weight
     against what the motion so far expects.
@@ -379,5 +381,5 @@ def settle(
     share = cloud.icp_share
     held = None if prior is None else prior.widened(share**0.5, share**0.5)
     points, times = cloud.icp_points, cloud.icp_times
-    fit = refine(points, T_odom_sensor, local_map, config, weights, basin, times, held)
+    fit = align(points, T_odom_sensor, local_map, config, weights, basin, times, held)
     return replace(fit, information=share * fit.information)

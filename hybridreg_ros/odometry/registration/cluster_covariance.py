@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Scatter: how much the parts of a scan disagree about its pose."""
+"""Cluster-robust covariance: how much the parts of a scan disagree about its pose."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _CAP = 10.0
 _TINY = 1e-6
 
 
-def scatter(
+def cluster_covariance(
     points: F64, weights: F64, T_odom_sensor: F64, surfaces: Surfaces, scales: F64, H: F64,
     size_m: float,
 ) -> F64:  # fmt: skip

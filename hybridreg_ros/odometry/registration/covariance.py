@@ -59,11 +59,11 @@ def of_fit(fit: Fit, ahead_s: float, factor: float) -> F64:
         factor: scale of the covariance.
     """
     covariance = of_pose(fit.information, factor)
-    if fit.sway is None or ahead_s == 0.0:
+    if fit.intra_scan is None or ahead_s == 0.0:
         return covariance
     turn = np.zeros((6, 6))
     turn[:3, :3] = turn[3:, 3:] = fit.T_odom_sensor[:3, :3]
-    carried: F64 = covariance + factor * turn @ fit.sway.spread_at(ahead_s) @ turn.T
+    carried: F64 = covariance + factor * turn @ fit.intra_scan.spread_at(ahead_s) @ turn.T
     return carried
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.jit import compiled
-from hybridreg_ros.odometry.motion.intra_scan_motion import Sway
+from hybridreg_ros.odometry.motion.intra_scan_motion import IntraScanMotion
 from hybridreg_ros.odometry.registration.kernels import NONE, PLANE
 
 if TYPE_CHECKING:
@@ -28,17 +28,17 @@ _TURNING = (np.deg2rad(0.4), np.deg2rad(18.0))
 
 
 def update(
-    sway: Sway,
+    intra_scan: IntraScanMotion,
     T_odom_sensor: F64,
     sums: tuple[F64, F64],
     half_span_s: float,
     config: RefineConfig,
     prior: Expected | None = None,
-) -> tuple[F64, Sway, float]:
-    """One Gauss-Newton step of pose and sway.
+) -> tuple[F64, IntraScanMotion, float]:
+    """One Gauss-Newton step of pose and intra-scan motion.
 
     Args:
-        sway: the present one.
+        intra_scan: the present one.
         T_odom_sensor: (4, 4) the present pose at the instant of the cloud.
         sums: as `moments` gives them.
         half_span_s: half the duration of the scan, seconds.
@@ -46,7 +46,8 @@ def update(
         prior: pose that the motion so far expects, or None.
 
     Returns:
-        The pose (4, 4), the sway, and the length of the step in units of what the priors allow.
+        The pose (4, 4), the intra-scan motion, and the length of the step in units of what the
+        priors allow.
     """
     turn = np.zeros((6, 6))
     turn[:3, :3] = turn[3:, 3:] = T_odom_sensor[:3, :3]
@@ -59,23 +60,23 @@ def update(
         weight, pull = prior.pull(T_odom_sensor)  # alike along all axes, so turning keeps it
         H[np.arange(6), np.arange(6)] += weight
         b[:6] += turn.T @ pull
-    turning = np.full(3, np.deg2rad(config.sway_turn_deg))
-    if prior is not None and prior.turn_rate.any() and config.sway_follow > 0.0:
-        turning = np.clip(config.sway_follow * prior.turn_rate, *_TURNING)
-    spread = np.concatenate([np.full(3, config.sway_speed), turning])
-    for order, known in ((1, sway.rate), (2, sway.bend)):
+    turning = np.full(3, np.deg2rad(config.intra_scan_turn_deg))
+    if prior is not None and prior.turn_rate.any() and config.intra_scan_follow > 0.0:
+        turning = np.clip(config.intra_scan_follow * prior.turn_rate, *_TURNING)
+    spread = np.concatenate([np.full(3, config.intra_scan_speed), turning])
+    for order, known in ((1, intra_scan.rate), (2, intra_scan.bend)):
         weight = (half_span_s ** (order - 1) / spread) ** 2
         rows = np.arange(6 * order, 6 * order + 6)
         H[rows, rows] += weight
         b[rows] += weight * known
     if prior is not None and prior.start is not None:
-        information, gradient = prior.start.pull(T_odom_sensor, sway)
+        information, gradient = prior.start.pull(T_odom_sensor, intra_scan)
         H += information
         b += gradient
     step = solve(H, b)
     T = T_odom_sensor @ se3.transform(se3.so3_exp(step[3:6]), step[:3])
     moved = float(np.abs(step[6:12] / spread).max())
-    return T, Sway(sway.rate + step[6:12], sway.bend + step[12:], H), moved
+    return T, IntraScanMotion(intra_scan.rate + step[6:12], intra_scan.bend + step[12:], H), moved
 
 
 def solve(H: F64, b: F64) -> F64:

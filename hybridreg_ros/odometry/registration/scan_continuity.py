@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Trail: a scan of a spinning lidar begins where the one before it ended."""
+"""ScanContinuity: a scan of a spinning lidar begins where the one before it ended."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from hybridreg_ros.odometry.motion.prediction import Start
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hybridreg_ros.odometry.motion.intra_scan_motion import Sway
+    from hybridreg_ros.odometry.motion.intra_scan_motion import IntraScanMotion
     from hybridreg_ros.odometry.motion.prediction import Expected
-    from hybridreg_ros.odometry.preprocessed import Cloud
+    from hybridreg_ros.odometry.preprocessed import PreprocessedScan
 
     F64 = NDArray[np.float64]
 
 _SPREAD = np.array([0.01, np.deg2rad(0.2)])
 """Standard deviation of the end of a scan, metres and rad per axis."""
 _AT_FIRST, _EASED = 16.0, 0.7
-"""Factor on that before the first trail, and its decay with every trail: the map of the first
+"""Factor on that before the first end of a scan, and its decay with each: the map of the first
 scans is bent by what was not known of their motion, and a pose must not jump by it."""
 _GAP_S = 0.05
 """After a longer pause the end of the last scan says no more than the prediction does."""
 _STEP_S = 0.01
 
 
-class Trail:
+class ScanContinuity:
     """Where the last scan ended."""
 
     def __init__(self) -> None:
@@ -44,10 +44,10 @@ class Trail:
         self.end()
 
     def end(self) -> None:
-        """The last scan is in doubt or was not registered, so it leaves no trail."""
+        """The last scan is in doubt or was not registered, so it is not continued."""
         self._end: tuple[F64, F64, int] | None = None
 
-    def expect(self, expected: Expected, cloud: Cloud, stamp: int) -> Expected:
+    def expect(self, expected: Expected, cloud: PreprocessedScan, stamp: int) -> Expected:
         """What is expected of a scan, with its start when the last one ended shortly before.
 
         Without that, a motion that is the same in every scan (a nod at the same azimuth, back at
@@ -75,20 +75,26 @@ class Trail:
         )  # fmt: skip
         return replace(expected, start=start)
 
-    def leave(self, cloud: Cloud, T_odom_sensor: F64, sway: Sway | None, stamp: int) -> None:
+    def end_at(
+        self,
+        cloud: PreprocessedScan,
+        T_odom_sensor: F64,
+        intra_scan: IntraScanMotion | None,
+        stamp: int,
+    ) -> None:
         """Take the end of a scan that was registered.
 
         Args:
             cloud: the preprocessed scan.
             T_odom_sensor: (4, 4) its pose.
-            sway: motion during it that its deskew did not undo, or None.
+            intra_scan: motion during it that its deskew did not undo, or None.
             stamp: instant of the cloud, ns.
         """
         if cloud.times is None:
             return
         last = float(cloud.times.max())
         self._factor = max(1.0, _EASED * self._factor)
-        pose = cloud.pose_at(last, T_odom_sensor, sway)
-        earlier = cloud.pose_at(last - _STEP_S, T_odom_sensor, sway)
+        pose = cloud.pose_at(last, T_odom_sensor, intra_scan)
+        earlier = cloud.pose_at(last - _STEP_S, T_odom_sensor, intra_scan)
         twist = se3.log(se3.inverse(earlier) @ pose) / _STEP_S
         self._end = pose, twist, stamp + round(last * NS_PER_S)

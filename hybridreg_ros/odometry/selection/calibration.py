@@ -20,10 +20,10 @@ PACKAGED = Path(__file__).parent / 'calibration.json'
 KINDS = ('depth', 'lidar')
 _LARGEST_SCORE = 500.0
 """Log odds beyond this overflow."""
-EVIDENCE = ('consistent', 'before', 'weakness')
-"""Attributes of `confidence.Evidence` by which poses are judged."""
-CLAIM = ('evident', 'unmatched', 'scatter', 'surprise', 'rival')
-"""Attributes of `claim.Claim` from which the confidence follows that is reported."""
+EVIDENCE = ('consistent', 'before', 'worst_axis')
+"""Attributes of `PoseEvidence` by which poses are judged."""
+REPORTED = ('evident', 'unmatched', 'disagreement', 'innovation', 'runner_up')
+"""Attributes of `ReportedConfidence` from which it follows."""
 
 
 @dataclass(frozen=True)
@@ -49,12 +49,12 @@ class Logistic:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class OdometryCalibration:
     """What was fitted on the development suite.
 
     Attributes:
         evidence: by which a pose is judged and chosen; attributes EVIDENCE.
-        confidence: that is reported of the pose chosen; attributes CLAIM.
+        confidence: that is reported of the pose chosen; attributes REPORTED.
         covariance_scale: by kind of sensor (depth, lidar), the factor on the inverse information
             that makes step errors consistent.
         provenance: how each of them was fitted.
@@ -72,7 +72,7 @@ class Calibration:
             ConfigError: a feature is missing or unknown, or a value is not finite.
         """
         values = list(self.covariance_scale.values())
-        for model, names in ((self.evidence, EVIDENCE), (self.confidence, CLAIM)):
+        for model, names in ((self.evidence, EVIDENCE), (self.confidence, REPORTED)):
             if set(model.weights) != set(names):
                 raise ConfigError(
                     f'calibration: expected weights of {", ".join(names)}, found '
@@ -99,7 +99,7 @@ class Calibration:
         }
 
 
-def read(path: Path) -> Calibration:
+def read(path: Path) -> OdometryCalibration:
     """Calibration from a file that `hybridreg replay --suite dev --fit FILE` wrote.
 
     Raises:
@@ -107,7 +107,7 @@ def read(path: Path) -> Calibration:
     """
     try:
         values = json.loads(path.read_text('utf-8'))
-        return Calibration(
+        return OdometryCalibration(
             _logistic(values['evidence']),
             _logistic(values['confidence']),
             {str(k): float(v) for k, v in values['covariance_scale'].items()},
@@ -125,6 +125,6 @@ def _logistic(values: Mapping[str, Any]) -> Logistic:
 
 
 @cache
-def packaged() -> Calibration:
+def packaged() -> OdometryCalibration:
     """The calibration that this package ships."""
     return read(PACKAGED)

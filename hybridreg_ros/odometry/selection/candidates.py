@@ -12,7 +12,7 @@ import numpy as np
 
 from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.odometry.result import Reason, Source
-from hybridreg_ros.odometry.selection.pose_confidence import FIRM, of_evidence, weakness
+from hybridreg_ros.odometry.selection.pose_confidence import FIRM, of_evidence, worst_axis
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.config import GateConfig
     from hybridreg_ros.odometry.motion.prediction import Expected
     from hybridreg_ros.odometry.registration.alignment import Fit
-    from hybridreg_ros.odometry.selection.pose_confidence import Evidence, Verdict
+    from hybridreg_ros.odometry.selection.pose_confidence import PoseEvidence, Verdict
 
     F64 = NDArray[np.float64]
     F32 = NDArray[np.float32]
@@ -53,26 +53,26 @@ class Located:
         confidence: P(pose right) by the evidence and, of its poses, the network, [0, 1].
         evident: by the evidence alone, [0, 1].
         uncertainty: (M,) float32 of the network per map point of the cloud, None without one.
-        surprise: how far it is off the predicted pose (`claim.surprise`).
+        innovation: how far it is off the predicted pose (`innovation`).
         rank: by which the best of several is chosen (`rank`).
         tentative: taken only since it is as the motion leads one to expect: better than none, but
             its scan is a bad one.
     """
 
     fit: Fit
-    evidence: Evidence
+    evidence: PoseEvidence
     source: Source
     reason: Reason
     confidence: float
     evident: float
     uncertainty: F32 | None = None
-    surprise: float = 0.0
+    innovation: float = 0.0
     rank: float = 0.0
     tentative: bool = False
 
     def adds_to_map(self, gate: GateConfig, voxel_size_m: float) -> bool:
         """Whether the scan enters the map: not in doubt or held loosely where the map shows it."""
-        firm = self.evidence.weakness <= weakness(gate.firm * voxel_size_m)
+        firm = self.evidence.worst_axis <= worst_axis(gate.firm * voxel_size_m)
         sure = self.confidence >= gate.write
         return (sure and firm) or (not self.tentative and self.evidence.overlap < gate.known)
 
@@ -86,19 +86,19 @@ class Candidate:
         evidence: what speaks for it.
         verdict: confidence by the evidence, and faults.
         reported: (4, 4) it at the instant that is asked for.
-        surprise: how far it is off the predicted one (`claim.surprise`).
+        innovation: how far it is off the predicted one (`innovation`).
         rank: by which the best of several is chosen (`rank`).
     """
 
     fit: Fit
-    evidence: Evidence
+    evidence: PoseEvidence
     verdict: Verdict
     reported: F64
-    surprise: float = 0.0
+    innovation: float = 0.0
     rank: float = 0.0
 
 
-def rank(evidence: Evidence, verdict: Verdict, surprise: float, soon: bool) -> float:
+def rank(evidence: PoseEvidence, verdict: Verdict, innovation: float, soon: bool) -> float:
     """Order of the poses found for one scan: log odds by the evidence, less by distance.
 
     How loosely a pose is held says how far off it may be, not which of two is the right one: a
@@ -107,24 +107,24 @@ def rank(evidence: Evidence, verdict: Verdict, surprise: float, soon: bool) -> f
     Args:
         evidence: what speaks for the pose.
         verdict: its confidence and faults; a pose with a fault comes last.
-        surprise: how far it is off the predicted one (`claim.surprise`).
+        innovation: how far it is off the predicted one (`innovation`).
         soon: whether the scan follows the last one closely.
     """
     if verdict.fault is not None:
         return -np.inf
-    firm = of_evidence(replace(evidence, weakness=FIRM)) if soon else verdict.confidence
-    return against_motion(firm, surprise)
+    firm = of_evidence(replace(evidence, worst_axis=FIRM)) if soon else verdict.confidence
+    return against_motion(firm, innovation)
 
 
-def against_motion(confidence: float, surprise: float) -> float:
+def against_motion(confidence: float, innovation: float) -> float:
     """Log odds of a pose by the evidence, less by its distance from the predicted one.
 
     Args:
         confidence: by the evidence, [0, 1].
-        surprise: how far the pose is off the predicted one (`claim.surprise`); below 0 it does not
-            count, since then it is within what is usual.
+        innovation: how far the pose is off the predicted one (`innovation`); below 0 it
+            does not count, since then it is within what is usual.
     """
-    return log_odds(confidence) - AGAINST * max(0.0, surprise)
+    return log_odds(confidence) - AGAINST * max(0.0, innovation)
 
 
 def located_by_kiss(found: Candidate, reason: Reason, tentative: bool = False) -> Located:
@@ -132,7 +132,7 @@ def located_by_kiss(found: Candidate, reason: Reason, tentative: bool = False) -
     confidence = found.verdict.confidence
     return Located(
         found.fit, found.evidence, Source.KISS_ICP, reason, confidence, confidence,
-        surprise=found.surprise, rank=found.rank, tentative=tentative,
+        innovation=found.innovation, rank=found.rank, tentative=tentative,
     )  # fmt: skip
 
 
@@ -151,7 +151,10 @@ def is_worth_it(
         accept: confidence from which another one speaks against it.
     """
     pose = doubtful.fit.T_odom_sensor
-    return doubtful.surprise < 0.0 and rival(pose, considered, voxel_size_m, refused=True) < accept
+    return (
+        doubtful.innovation < 0.0
+        and runner_up(pose, considered, voxel_size_m, refused=True) < accept
+    )
 
 
 def better(one: Candidate | None, other: Candidate | None) -> Candidate | None:
@@ -185,7 +188,7 @@ def log_odds(confidence: float) -> float:
     return float(np.log(kept / (1.0 - kept)))
 
 
-def surprise(pose: F64, expected: Expected | None, voxel_size_m: float) -> float:
+def innovation(pose: F64, expected: Expected | None, voxel_size_m: float) -> float:
     """How far a pose is off the one that the motion so far predicts.
 
     Things do jump, so that a far pose is possible; but a repeated structure (shelves, stairs,
@@ -207,7 +210,7 @@ def surprise(pose: F64, expected: Expected | None, voxel_size_m: float) -> float
     return float(np.log10(_USUAL + _apart(expected.pose, pose, *usual)))
 
 
-def rival(
+def runner_up(
     pose: F64, considered: Iterable[Candidate], voxel_size_m: float, refused: bool = False
 ) -> float:
     """How plausible the surest pose is that another way led to.

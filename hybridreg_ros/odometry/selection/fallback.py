@@ -11,7 +11,7 @@ import numpy as np
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.odometry.map.thinning import first_per_voxel
-from hybridreg_ros.odometry.registration.alignment import assess, pull_in, settle
+from hybridreg_ros.odometry.registration.alignment import align_scan, assess, pull_in
 from hybridreg_ros.odometry.registration.kiss import KissRegistration
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.map.local_map import LocalMap
     from hybridreg_ros.odometry.motion.prediction import Expected
     from hybridreg_ros.odometry.preprocess import SensorModel
-    from hybridreg_ros.odometry.preprocessed import Cloud
+    from hybridreg_ros.odometry.preprocessed import PreprocessedScan
     from hybridreg_ros.odometry.registration.alignment import Basin, Fit
 
     F64 = NDArray[np.float64]
@@ -71,7 +71,7 @@ class Fallback:
 
     def follow(
         self,
-        cloud: Cloud,
+        cloud: PreprocessedScan,
         guess: F64,
         weights: NDArray[np.floating] | None = None,
         basin: Basin = 'fine',
@@ -94,7 +94,7 @@ class Fallback:
 
     def follow_near(
         self,
-        cloud: Cloud,
+        cloud: PreprocessedScan,
         guess: F64,
         weights: NDArray[np.floating] | None,
         prior: Expected,
@@ -125,7 +125,7 @@ class Fallback:
 
     def _aligned(
         self,
-        cloud: Cloud,
+        cloud: PreprocessedScan,
         guess: F64,
         weights: NDArray[np.floating] | None,
         reach_m: float | None = None,
@@ -140,7 +140,7 @@ class Fallback:
 
     def _refined(
         self,
-        cloud: Cloud,
+        cloud: PreprocessedScan,
         pose: F64,
         weights: NDArray[np.floating] | None,
         basin: Basin,
@@ -152,14 +152,14 @@ class Fallback:
         surface of the fine level gets them off again; one of the coarse level does.
         """
         points, settings = cloud.icp_points, self._config.refine
-        if not self._config.fallback.polish:
+        if not self._config.fallback.plane_icp:
             return assess(points, pose, self._map, settings, weights)
         if basin == 'fine' and not self._map.noisy:
             few = replace(
                 settings, max_iterations=_OFF_RINGS, coarse_points=settings.coarse_points // 2
             )
             pose = pull_in(points, pose, self._map, few, weights, 'coarse')
-        return settle(cloud, pose, self._map, settings, weights, basin, prior)
+        return align_scan(cloud, pose, self._map, settings, weights, basin, prior)
 
     def _are_same(self, one: F64, other: F64) -> bool:
         """Whether the refinement leads from both poses to the same one."""
@@ -169,7 +169,7 @@ class Fallback:
 
     def locate(
         self,
-        cloud: Cloud,
+        cloud: PreprocessedScan,
         guesses: Sequence[F64],
         weights: NDArray[np.floating] | None = None,
         prior: Expected | None = None,
@@ -190,7 +190,7 @@ class Fallback:
             self._kiss.rebuild(self._map.middle.points())
             self._copied = self._map.changes
 
-    def search(self, cloud: Cloud, guess: F64) -> list[F64]:
+    def search(self, cloud: PreprocessedScan, guess: F64) -> list[F64]:
         """The most promising poses far around a guess, best first: turned and shifted ones.
 
         Args:

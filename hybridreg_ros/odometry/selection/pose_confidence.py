@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 _STIFF_M = 0.003
 """Standard deviation, metres, below which a pose counts as held firmly."""
 FIRM = float(np.log10(_STIFF_M))
-"""Weakness of a pose that is held firmly."""
+"""`PoseEvidence.worst_axis` of a pose that is held firmly."""
 
 
 @dataclass(frozen=True)
-class Evidence:
+class PoseEvidence:
     """What speaks for a pose.
 
     Attributes:
@@ -35,15 +35,15 @@ class Evidence:
         consistent: share of those that stand on what the earlier scan saw there, [0, 1].
         before: share of those that stand before it, in space seen free, [0, 1]; the others stand
             behind it.
-        weakness: log10 of the standard deviation, metres, that the information of the registration
-            leaves along the direction in which the position is held worst (`weakness`).
+        worst_axis: log10 of the standard deviation, metres, that the information of the
+            registration leaves along the direction in which the position is held worst.
     """
 
     overlap: float
     seen: float
     consistent: float
     before: float = 0.0
-    weakness: float = -2.5
+    worst_axis: float = -2.5
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Verdict:
     fault: Reason | None
 
 
-def weakness(spread_m: float) -> float:
+def worst_axis(spread_m: float) -> float:
     """Evidence of how loosely a pose is held along its worst direction.
 
     Below some millimetres nothing is gained: a wrong pose in a room of clean planes is stiff too.
@@ -70,7 +70,7 @@ def weakness(spread_m: float) -> float:
     return float(np.log10(max(spread_m, _STIFF_M)))
 
 
-def of_evidence(evidence: Evidence) -> float:
+def of_evidence(evidence: PoseEvidence) -> float:
     """Confidence of a pose that no network vouches for, [0, 1].
 
     It grows with the share of points that stands where an earlier scan saw a surface, and falls
@@ -81,7 +81,7 @@ def of_evidence(evidence: Evidence) -> float:
 
 
 def judge(
-    evidence: Evidence,
+    evidence: PoseEvidence,
     pose: NDArray[np.float64],
     predicted: NDArray[np.float64] | None,
     dt_s: float,

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Claim: the confidence that is reported of a pose, once it was chosen and all ways are known."""
+"""Reported confidence of a pose, once it was chosen and all ways are known."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.odometry.selection import calibration
-from hybridreg_ros.odometry.selection.candidates import log_odds, rival
+from hybridreg_ros.odometry.selection.candidates import log_odds, runner_up
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -28,64 +28,66 @@ _UNANIMOUS = 0.003
 
 
 @dataclass(frozen=True)
-class Claim:
+class ReportedConfidence:
     """What is known of a pose that was chosen.
 
     Attributes:
         evident: log odds of the confidence by which it was chosen.
         unmatched: log10 of the share of the points without a surface of the map nearby.
-        scatter: log10 of the standard deviation by which the parts of the scan disagree about it
-            (`disagreement`).
-        surprise: log10 of how far it is off the predicted one (`surprise`); 0 where no motion is
-            known.
-        rival: confidence of the surest pose that another way led to, less when that is near by
-            (`rival`); 0 where there is none.
+        disagreement: log10 of the standard deviation by which the parts of the scan disagree
+            about it (`disagreement`).
+        innovation: log10 of how far it is off the predicted one (`innovation`); 0 where no motion
+            is known.
+        runner_up: confidence of the surest pose that another way led to, less when that is near by
+            (`runner_up`); 0 where there is none.
     """
 
     evident: float
     unmatched: float
-    scatter: float
-    surprise: float
-    rival: float
+    disagreement: float
+    innovation: float
+    runner_up: float
 
     @property
     def confidence(self) -> float:
         """P(pose right), [0, 1], by the weights of `calibration.json`; at most as evident.
 
-        That nothing speaks against a pose is no evidence for it: a bare wall has no rival, and the
-        motion so far leads wherever it does.
+        That nothing speaks against a pose is no evidence for it: a bare wall has no runner-up, and
+        the motion so far leads wherever it does.
         """
         most = 1.0 / (1.0 + np.exp(-self.evident))
         return float(min(calibration.packaged().confidence.probability(self), most))
 
 
-def of(found: Located, considered: Iterable[Candidate], voxel_size_m: float) -> Claim:
-    """The claim for a pose.
+def of(found: Located, considered: Iterable[Candidate], voxel_size_m: float) -> ReportedConfidence:
+    """The confidence of a pose, with what it follows from.
 
     Args:
         found: the pose that was chosen.
         considered: every pose that was judged for its scan.
         voxel_size_m: voxel of the map.
     """
-    return Claim(
+    return ReportedConfidence(
         log_odds(found.confidence),
         float(np.log10(max(0.0, 1.0 - found.fit.overlap) + _MATCHED)),
-        disagreement(found.fit.scatter, voxel_size_m),
-        found.surprise,
-        rival(found.fit.T_odom_sensor, considered, voxel_size_m),
+        disagreement(found.fit.cluster_covariance, voxel_size_m),
+        found.innovation,
+        runner_up(found.fit.T_odom_sensor, considered, voxel_size_m),
     )
 
 
-def disagreement(scatter: F64, voxel_size_m: float) -> float:
+def disagreement(cluster_covariance: F64, voxel_size_m: float) -> float:
     """How much the parts of a scan disagree about its pose.
 
     Args:
-        scatter: (6, 6) covariance of position and turn, m^2 and rad^2 (`Fit.scatter`).
+        cluster_covariance: (6, 6) of position and turn, m^2 and rad^2 (`Fit`).
         voxel_size_m: voxel of the map; as much as a turn of one degree.
 
     Returns:
         log10 of the standard deviations along the worst directions, voxels and degrees together.
     """
-    shift = np.sqrt(max(0.0, float(np.linalg.eigvalsh(scatter[:3, :3])[-1]))) / voxel_size_m
-    turn = np.rad2deg(np.sqrt(max(0.0, float(np.linalg.eigvalsh(scatter[3:, 3:])[-1]))))
+    shift = (
+        np.sqrt(max(0.0, float(np.linalg.eigvalsh(cluster_covariance[:3, :3])[-1]))) / voxel_size_m
+    )
+    turn = np.rad2deg(np.sqrt(max(0.0, float(np.linalg.eigvalsh(cluster_covariance[3:, 3:])[-1]))))
     return float(np.log10(_UNANIMOUS + np.hypot(shift, turn)))

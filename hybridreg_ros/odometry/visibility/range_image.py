@@ -29,7 +29,7 @@ _FULL_TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class Pixels:
     """How directions of one sensor map to pixels: azimuth and elevation about a main axis.
 
     Attributes:
@@ -51,7 +51,7 @@ class View:
     wraps: bool
 
 
-def view_of(points: NDArray[np.floating], kind: str) -> View:
+def view_of(points: NDArray[np.floating], kind: str) -> Pixels:
     """Choose a view from one scan: pixels as fine as leaves most of them filled.
 
     Args:
@@ -80,7 +80,7 @@ def view_of(points: NDArray[np.floating], kind: str) -> View:
     width = max(3, round((az_high - az_low) / step[0]))
     step[0] = (az_high - az_low) / width
     height = max(3, int(np.ceil((el_high - el_low) / step[1])))
-    return View(basis, float(az_low), float(el_low), step, width, height, wraps)
+    return Pixels(basis, float(az_low), float(el_low), step, width, height, wraps)
 
 
 def _pixel(azimuth: NDArray[np.float64], elevation: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -111,7 +111,7 @@ class RangeImage:
     def __init__(
         self,
         points: NDArray[np.floating],
-        view: View,
+        view: Pixels,
         T_odom_sensor: NDArray[np.float64],
         rows: NDArray[np.int64] | None = None,
     ) -> None:
@@ -181,7 +181,7 @@ def _inside(filled: NDArray[np.bool_], wraps: bool) -> NDArray[np.bool_]:
 
 
 def _geometry(
-    view: View,
+    view: Pixels,
 ) -> tuple[NDArray[np.float64], float, float, NDArray[np.float64], bool]:
     return view.basis, view.azimuth_rad, view.elevation_rad, view.step_rad, view.wraps
 

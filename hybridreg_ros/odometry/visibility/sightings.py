@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.odometry.selection.pose_confidence import Evidence
+from hybridreg_ros.odometry.selection.pose_confidence import PoseEvidence
 from hybridreg_ros.odometry.visibility.range_image import (
     BEHIND,
     FRONT,
     ON,
     UNSEEN,
+    Pixels,
     RangeImage,
-    View,
     view_of,
 )
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.odometry.preprocess import SensorModel
-    from hybridreg_ros.odometry.preprocessed import Cloud
+    from hybridreg_ros.odometry.preprocessed import PreprocessedScan
 
 _OTHERS = 3
 _TURN_M = 3.0
@@ -47,13 +47,13 @@ class Sightings:
     def __init__(self, sensor: SensorModel, memory: int = 50) -> None:
         self._slack_m = _SLACK * sensor.voxel_size_m
         self._kind = sensor.kind
-        self._view: View | None = None
+        self._view: Pixels | None = None
         self._last: RangeImage | None = None
         self._keyframes: deque[RangeImage] = deque(maxlen=memory)
 
     def draw(
         self,
-        cloud: Cloud,
+        cloud: PreprocessedScan,
         pose: NDArray[np.float64],
         still: NDArray[np.bool_] | None = None,
     ) -> RangeImage:
@@ -82,14 +82,14 @@ class Sightings:
 
     def evidence(
         self, points: NDArray[np.float32], pose: NDArray[np.float64], overlap: float
-    ) -> Evidence:
+    ) -> PoseEvidence:
         """What speaks for a pose of points (K, 3), sensor frame.
 
         The last scan is asked first; of points that it did not see or that something hid from it
         the keyframes nearest to the pose are asked.
         """
         if self._last is None or len(points) == 0:
-            return Evidence(overlap, 0.0, 0.0)
+            return PoseEvidence(overlap, 0.0, 0.0)
         stand = self._against(self._last, points, pose)
         for image in self._nearest(pose):
             open_ = np.flatnonzero((stand == UNSEEN) | (stand == BEHIND))
@@ -100,7 +100,7 @@ class Sightings:
         seen = int((stand != UNSEEN).sum())
         on, front = int((stand == ON).sum()), int((stand == FRONT).sum())
         share = 1.0 / max(1, seen)
-        return Evidence(overlap, seen / len(points), on * share, front * share)
+        return PoseEvidence(overlap, seen / len(points), on * share, front * share)
 
     def _nearest(self, pose: NDArray[np.float64]) -> list[RangeImage]:
         """The keyframes nearest to a pose, without the last scan."""

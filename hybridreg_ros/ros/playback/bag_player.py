@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import sys
 import threading
@@ -15,45 +14,20 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.utilities import remove_ros_args
 
 from hybridreg_ros.core.errors import HybridRegError
+from hybridreg_ros.ros.playback.arguments import parser
 from hybridreg_ros.ros.playback.flow import Flow
 from hybridreg_ros.ros.playback.player import Player, PlayOptions, PlayReport
 from hybridreg_ros.ros.session import ros_session
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from rclpy.node import Node
 
 _FLUSH_S = 5.0
-_SETTLE_S = 10.0
-
-
-def parser() -> argparse.ArgumentParser:
-    """Command line of the player."""
-    p = argparse.ArgumentParser(prog='bag_player', description=__doc__)
-    p.add_argument('bag', help='rosbag2 file (.mcap, .db3) or directory')
-    p.add_argument('--topics', nargs='+', default=[], help='topics to play, default all')
-    p.add_argument('--rate', type=float, default=1.0, help='speed, 1 = as recorded')
-    p.add_argument(
-        '--clock', type=float, nargs='?', const=100.0, default=0.0, metavar='HZ',
-        help='publish /clock so often (100)',
-    )  # fmt: skip
-    p.add_argument('--qos', choices=('reliable', 'sensor_data'), default='reliable')
-    p.add_argument('--qos-depth', type=int, default=10, help='messages DDS keeps per topic')
-    p.add_argument(
-        '--wait', type=float, nargs='?', const=30.0, default=0.0, metavar='S',
-        help='wait so long for subscribers of the clouds (30 s), then give up with an error',
-    )  # fmt: skip
-    p.add_argument('--start', type=float, default=0.0, help='seconds to skip')
-    p.add_argument('--duration', type=float, default=0.0, help='seconds to play, default all')
-    p.add_argument('--loop', action='store_true', help='begin again at the end of the bag')
-    p.add_argument(
-        '--lossless', type=int, nargs='?', const=2, default=0, metavar='N',
-        help='never more than N (2) clouds under way in the odometry node; implies --wait',
-    )  # fmt: skip
-    p.add_argument('--node', default='hybridreg', help='odometry node that --lossless follows')
-    return p
+_DRAIN_S = 10.0
 
 
 def options(args: argparse.Namespace) -> PlayOptions:
@@ -135,7 +109,7 @@ def play(node: Node, args: argparse.Namespace, active: Callable[[], bool]) -> Pl
                 raise HybridRegError(f'{args.bag}: no message was played')
             if not args.loop:
                 break
-        if flow is not None and active() and not flow.settle(_SETTLE_S):
+        if flow is not None and active() and not flow.drain(_DRAIN_S):
             node.get_logger().warning(f'{flow.under_way} clouds did not come back')
         if flow is not None and flow.dropped:
             node.get_logger().warning(f'dropped by {args.node}: {dict(flow.dropped)}')

@@ -139,7 +139,7 @@ class Flow:
         self.sent += 1
         return True
 
-    def settle(self, timeout_s: float) -> bool:
+    def drain(self, timeout_s: float) -> bool:
         """Wait until nothing is under way; False when nothing moves for `timeout_s`."""
         last, end = self.under_way, time.monotonic() + timeout_s
         while (now := self.under_way) > 0:

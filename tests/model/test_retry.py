@@ -94,7 +94,7 @@ def test_frames_turn_with_a_narrow_view_and_stay_for_a_view_all_round() -> None:
 
 
 def test_order_depends_on_neither_roles_nor_rotation() -> None:
-    near, far = cone(0), 1.1 * cone(1)
+    near, far = cone(0), np.float32(1.1) * cone(1)
     near[0] = np.nan
     Q = se3.so3_exp(np.array([1.0, -0.5, 2.0]))
     assert in_order(near, far)
@@ -151,7 +151,9 @@ def test_register_tries_again_while_in_doubt(compact_net: HybridRegNet, room: np
     one, five = found[1], found[5]
     assert (one.attempts, five.attempts) == (1, 5)
     assert five.confidence >= one.confidence
-    np.testing.assert_allclose(five.T_target_source, se3.transform(np.eye(3), shift), atol=1e-3)
+    np.testing.assert_allclose(
+        five.T_target_source, se3.transform(np.eye(3), shift.astype(float)), atol=1e-3
+    )
     pairs = five.correspondences
     offset = np.linalg.norm(pairs.source + shift - pairs.target, axis=1)
     assert (offset < 0.15).sum() >= five.inliers > 0

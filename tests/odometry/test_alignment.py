@@ -16,10 +16,10 @@ from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.map.local_map import LocalMap
 from hybridreg_ros.odometry.motion.prediction import Expected
 from hybridreg_ros.odometry.preprocess import preprocess, recognise_sensor
-from hybridreg_ros.odometry.registration.alignment import refine, settle
+from hybridreg_ros.odometry.registration.alignment import align, align_scan
 
 if TYPE_CHECKING:
-    from hybridreg_ros.odometry.preprocessed import Cloud
+    from hybridreg_ros.odometry.preprocessed import PreprocessedScan
 
 
 def test_more_points_of_finer_cubes_do_not_count_as_so_much_more() -> None:
@@ -28,7 +28,7 @@ def test_more_points_of_finer_cubes_do_not_count_as_so_much_more() -> None:
     sensor = recognise_sensor(points, config)
     scan = Scan(points, stamp=1.0, frame_id='s')
 
-    def prepared(enough: int) -> Cloud:
+    def prepared(enough: int) -> PreprocessedScan:
         settings = replace(config.preprocess, icp_enough=enough)
         return preprocess(scan, sensor, settings, np.zeros(6))
 
@@ -39,13 +39,13 @@ def test_more_points_of_finer_cubes_do_not_count_as_so_much_more() -> None:
     assert fine.icp_share == pytest.approx(independent / len(fine.icp_rows), rel=0.02)
     local_map = LocalMap(sensor.voxel_size_m, 8.0, 20, 8.0, True)
     local_map.update(fine.means.astype(np.float64), np.zeros(3))
-    all_count = refine(fine.icp_points, np.eye(4), local_map, config.refine, basin='fine')
-    settled = settle(fine, np.eye(4), local_map, config.refine)
-    np.testing.assert_allclose(settled.T_odom_sensor, all_count.T_odom_sensor)
-    np.testing.assert_allclose(settled.information, fine.icp_share * all_count.information)
+    all_count = align(fine.icp_points, np.eye(4), local_map, config.refine, basin='fine')
+    aligned = align_scan(fine, np.eye(4), local_map, config.refine)
+    np.testing.assert_allclose(aligned.T_odom_sensor, all_count.T_odom_sensor)
+    np.testing.assert_allclose(aligned.information, fine.icp_share * all_count.information)
     aside = Expected(pose(0.05, 0.0, 0.0, 0.0), 0.002, 0.01, 0.1)
     drawn = [
-        settle(one, np.eye(4), local_map, config.refine, prior=aside).T_odom_sensor[0, 3]
+        align_scan(one, np.eye(4), local_map, config.refine, prior=aside).T_odom_sensor[0, 3]
         for one in (replace(fine, icp_share=1.0), fine, replace(fine, icp_share=0.01))
     ]
     assert 0.0 < drawn[0] < drawn[1] < drawn[2]

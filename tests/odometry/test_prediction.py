@@ -14,10 +14,10 @@ from hybridreg_ros.odometry.config import GateConfig, OdometryConfig, RefineConf
 from hybridreg_ros.odometry.map.local_map import LocalMap
 from hybridreg_ros.odometry.motion.prediction import Expected, Motion
 from hybridreg_ros.odometry.preprocess import preprocess, recognise_sensor
-from hybridreg_ros.odometry.registration.alignment import Fit, believed, refine
+from hybridreg_ros.odometry.registration.alignment import Fit, align, believed
 from hybridreg_ros.odometry.result import Reason, Source
 from hybridreg_ros.odometry.selection.candidates import Located
-from hybridreg_ros.odometry.selection.pose_confidence import Evidence, weakness
+from hybridreg_ros.odometry.selection.pose_confidence import PoseEvidence, worst_axis
 
 FRAME = NS_PER_S // 10
 WALL = (Box((2.0, -30.0, -30.0), (3.0, 30.0, 30.0)),)
@@ -75,8 +75,8 @@ def test_motion_holds_what_a_bare_wall_leaves_loose() -> None:
     local, points, here = wall_map(0.004)
     slid = here @ se3.exp(np.array([0.0, 0.06, 0.0, 0.03, 0.0, 0.0]))
     expected = Expected(here, 0.03, 0.01, 0.1)
-    free = refine(points, slid, local, RefineConfig(), basin='fine').T_odom_sensor
-    held = refine(points, slid, local, RefineConfig(), basin='fine', prior=expected).T_odom_sensor
+    free = align(points, slid, local, RefineConfig(), basin='fine').T_odom_sensor
+    held = align(points, slid, local, RefineConfig(), basin='fine', prior=expected).T_odom_sensor
     off = [np.linalg.norm((se3.inverse(here) @ T)[:3, 3]) for T in (free, held)]
     turned = [se3.rotation_angle_deg((se3.inverse(here) @ T)[:3, :3]) for T in (free, held)]
     assert off[0] > 0.03
@@ -135,7 +135,7 @@ def test_a_doubtful_or_loose_scan_is_written_only_where_the_map_is_empty(
     confidence: float, held_m: float, overlap: float, tentative: bool, written: bool
 ) -> None:
     fit = Fit(np.eye(4), np.eye(6), overlap, 0.01, True, 1e-6 * np.eye(6))
-    evidence = Evidence(overlap, 1.0, 0.9, weakness=weakness(held_m))
+    evidence = PoseEvidence(overlap, 1.0, 0.9, worst_axis=worst_axis(held_m))
     found = Located(
         fit, evidence, Source.KISS_ICP, Reason.OK, confidence, confidence, tentative=tentative
     )

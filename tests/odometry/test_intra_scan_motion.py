@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,8 +15,8 @@ from hybridreg_ros.core.scan import Scan
 from hybridreg_ros.odometry.config import OdometryConfig, RefineConfig
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.map.local_map import LocalMap
-from hybridreg_ros.odometry.motion.intra_scan_motion import Sway
-from hybridreg_ros.odometry.registration.alignment import refine
+from hybridreg_ros.odometry.motion.intra_scan_motion import IntraScanMotion
+from hybridreg_ros.odometry.registration.alignment import align
 from hybridreg_ros.odometry.result import Reason, Source
 
 if TYPE_CHECKING:
@@ -39,35 +40,37 @@ def sweep(path: Callable[[float], np.ndarray], seed: int = 0) -> np.ndarray:
     return points
 
 
-def test_sway_carries_points_as_the_exponential_does() -> None:
+def test_intra_scan_motion_carries_points_as_the_exponential_does() -> None:
     rng = np.random.default_rng(1)
-    sway = Sway(rng.normal(0.0, 0.5, 6), rng.normal(0.0, 5.0, 6))
+    intra_scan = IntraScanMotion(rng.normal(0.0, 0.5, 6), rng.normal(0.0, 5.0, 6))
     points, times = rng.normal(0.0, 10.0, (50, 3)), rng.uniform(-0.05, 0.05, 50)
-    expected = [se3.apply(sway.at(s), p[None])[0] for p, s in zip(points, times, strict=True)]
-    np.testing.assert_allclose(sway.undo(points, times), expected, atol=1e-9)
+    expected = [
+        se3.apply(intra_scan.at(s), p[None])[0] for p, s in zip(points, times, strict=True)
+    ]
+    np.testing.assert_allclose(intra_scan.undo(points, times), expected, atol=1e-9)
 
 
 def test_refinement_finds_the_motion_during_the_scan() -> None:
     middle = 0.05
     rate = np.array([0.1, -0.05, 0.05, 0.1, 0.4, -0.2])
     bend = np.array([0.0, 0.0, 0.5, 0.0, 4.0, 0.0])
-    truth = Sway(rate, bend)
+    truth = IntraScanMotion(rate, bend)
     points = sweep(lambda t: HERE @ truth.at(t - middle), seed=3)[::2]
     times = TIMES[::2] - middle
     still = cast(ROOM, HERE, lidar_rays(480, 60), seed=4)[0]
     local_map = LocalMap(0.15, 50.0, 20, 8.0)
     local_map.update(still.astype(np.float64), np.zeros(3))
     config = RefineConfig()
-    rigid = refine(points, np.eye(4), local_map, config)
-    found = refine(points, np.eye(4), local_map, config, times=times)
-    assert found.sway is not None
-    assert rigid.sway is None
+    rigid = align(points, np.eye(4), local_map, config)
+    found = align(points, np.eye(4), local_map, config, times=times)
+    assert found.intra_scan is not None
+    assert rigid.intra_scan is None
     turn_deg = se3.rotation_angle_deg(found.T_odom_sensor[:3, :3])
     assert turn_deg < 0.05
     assert turn_deg < 0.3 * se3.rotation_angle_deg(rigid.T_odom_sensor[:3, :3])
     assert found.scale_m < 0.6 * rigid.scale_m
     for s in (-middle, middle):
-        off = se3.inverse(truth.at(s)) @ found.sway.at(s)
+        off = se3.inverse(truth.at(s)) @ found.intra_scan.at(s)
         assert se3.rotation_angle_deg(off[:3, :3]) < 0.15
         assert np.linalg.norm(off[:3, 3]) < 0.01
 
@@ -94,14 +97,11 @@ def worst_step(scans: list[Scan], config: OdometryConfig) -> tuple[float, float]
 
 
 def test_a_rough_ride_keeps_its_poses_from_the_first_step_on() -> None:
-    scans = [
-        Scan(sweep(lambda t, k=k: ride(k, t), k), times=TIMES, stamp=1.0 + 0.1 * k)
-        for k in range(8)
-    ]
+    scans = [Scan(sweep(partial(ride, k), k), times=TIMES, stamp=1.0 + 0.1 * k) for k in range(8)]
     turn_deg, shift_m = worst_step(scans, OdometryConfig())
     assert turn_deg < 0.6
     assert shift_m < 0.06
-    even = worst_step(scans, OdometryConfig(refine=RefineConfig(sway=False)))
+    even = worst_step(scans, OdometryConfig(refine=RefineConfig(intra_scan=False)))
     assert turn_deg < 0.6 * even[0]
 
 
@@ -109,18 +109,15 @@ def test_a_velocity_that_proves_wrong_leaves_the_first_map_as_it_was(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     odometry = HybridOdometry(OdometryConfig(), model=None)
-    scans = [
-        Scan(sweep(lambda t, k=k: ride(k, t), k), times=TIMES, stamp=1.0 + 0.1 * k)
-        for k in range(3)
-    ]
+    scans = [Scan(sweep(partial(ride, k), k), times=TIMES, stamp=1.0 + 0.1 * k) for k in range(3)]
     odometry.step(scans[0])
     tracker = odometry._tracker
     assert tracker is not None
-    before = tracker._scene.map.fine.points()
+    before = tracker._world.map.fine.points()
     real, calls = tracker._locator.locate, []
 
     def once(*args: Any) -> Any:
-        calls.append(tracker._scene.map.fine.points())
+        calls.append(tracker._world.map.fine.points())
         return real(*args) if len(calls) == 1 else Reason.NO_OVERLAP
 
     monkeypatch.setattr(tracker._locator, 'locate', once)
@@ -129,7 +126,7 @@ def test_a_velocity_that_proves_wrong_leaves_the_first_map_as_it_was(
     assert not np.array_equal(calls[1], before), 'the map was made anew with the velocity'
     assert second.source is not Source.LOST
     assert second.confidence > 0.5
-    stored = {tuple(p) for p in tracker._scene.map.fine.points().round(3)}
+    stored = {tuple(p) for p in tracker._world.map.fine.points().round(3)}
     assert len(stored & {tuple(p) for p in before.round(3)}) > 0.3 * len(before)
     monkeypatch.undo()
     assert odometry.step(scans[2]).confidence > 0.5

@@ -12,7 +12,7 @@ import pytest
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.map.local_map import LocalMap
-from hybridreg_ros.odometry.registration.alignment import by_age, refine
+from hybridreg_ros.odometry.registration.alignment import align, by_age
 from hybridreg_ros.odometry.registration.surfaces import Surfaces
 
 CONFIG = OdometryConfig().refine
@@ -99,7 +99,7 @@ def drawn_along_m(mature_s: float, stands: int) -> float:
         gone = 0.05 * max(0, k - stands)
         points = np.concatenate([wall(3.0, 1.0, k), wall(1.5 + gone, 1.0, k + 100, 1.2)])
         if k > 0:
-            pose = refine(points, pose, local_map, config, basin='fine').T_odom_sensor
+            pose = align(points, pose, local_map, config, basin='fine').T_odom_sensor
         moved = points @ pose[:3, :3].T + pose[:3, 3]
         local_map.update(moved, pose[:3, 3], None, k * NS_PER_S // 10)
     return float(abs(pose[0, 3]))

@@ -10,7 +10,7 @@ from test_rings import TRUNKS, ring_scan
 from tiny_world import Box, cast, lidar_rays, pose
 
 from hybridreg_ros.core.scan import Scan
-from hybridreg_ros.odometry.dynamics.background import lies_on_backdrop, lies_on_plane
+from hybridreg_ros.odometry.dynamics.background import lies_on_background, lies_on_plane
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.map.local_map import VoxelLevel
 
@@ -51,27 +51,27 @@ def test_floor_around_legs_is_floor_though_the_legs_are_in_the_map() -> None:
     level = stored(sheet(0.1), legs())
     near = sheet(0.07)
     near = near[np.hypot(near[:, 0] - 1.0, near[:, 1]) < 0.5]
-    assert lies_on_backdrop(near, SENSOR, level, SLACK_M).all()
+    assert lies_on_background(near, SENSOR, level, SLACK_M).all()
     assert lies_on_plane(near, level, 1, SLACK_M).mean() > 0.95  # its fit leaves two legs out too
     among = stored(sheet(0.1), crowd())
-    assert lies_on_backdrop(near, SENSOR, among, SLACK_M).all()
+    assert lies_on_background(near, SENSOR, among, SLACK_M).all()
     assert lies_on_plane(near, among, 1, SLACK_M).mean() < 0.7  # what a crowd spoils without it
     high = legs()[legs()[:, 2] > SLACK_M + 0.05]
-    assert not lies_on_backdrop(high, SENSOR, level, SLACK_M).any()
+    assert not lies_on_background(high, SENSOR, level, SLACK_M).any()
 
 
 def test_only_what_is_level_is_ground() -> None:
     wall = sheet(0.1)[:, [2, 0, 1]] + [3.0, 0.0, 1.5]
     level = stored(wall)
     inner = wall[(np.abs(wall[:, 1:] - [0.0, 1.5]) < 1.0).all(axis=1)]
-    assert lies_on_backdrop(inner, SENSOR, level, SLACK_M).all()
-    assert not lies_on_backdrop(inner, SENSOR, level, SLACK_M, up=np.array([0.0, 0, 1])).any()
-    assert lies_on_backdrop(inner, SENSOR, level, SLACK_M, up=np.array([1.0, 0, 0])).all()
+    assert lies_on_background(inner, SENSOR, level, SLACK_M).all()
+    assert not lies_on_background(inner, SENSOR, level, SLACK_M, up=np.array([0.0, 0, 1])).any()
+    assert lies_on_background(inner, SENSOR, level, SLACK_M, up=np.array([1.0, 0, 0])).all()
 
 
 @pytest.mark.parametrize('points', [np.zeros((0, 3)), np.full((3, 3), 50.0)])
 def test_where_nothing_is_stored_nothing_lies_on_anything(points: np.ndarray) -> None:
-    on = lies_on_backdrop(points, SENSOR, stored(sheet(0.1)), SLACK_M)
+    on = lies_on_background(points, SENSOR, stored(sheet(0.1)), SLACK_M)
     assert on.shape == (len(points),)
     assert not on.any()
 

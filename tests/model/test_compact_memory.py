@@ -12,7 +12,7 @@ import torch
 from hybridreg_ros import HybridReg
 from hybridreg_ros.core.nested import mapped
 from hybridreg_ros.core.pages import has_pages
-from hybridreg_ros.model.compact_memory import settled
+from hybridreg_ros.model.compact_memory import compacted
 from hybridreg_ros.model.geometry.grid import Grid
 from hybridreg_ros.model.geometry.pyramid import build_pyramid
 from hybridreg_ros.model.pose.verify import view_of
@@ -45,7 +45,7 @@ def test_values_stay_and_get_pages(compact_net: HybridRegNet, room: np.ndarray) 
     pyramid = build_pyramid(room, 0.05, compact_net.config)
     with torch.no_grad():
         before = compact_net.encode(pyramid), view_of(pyramid)
-    after = settled(before)
+    after = compacted(before)
     pairs = list(zip(arrays(before), arrays(after), strict=True))
     assert len(pairs) > 20
     for a, b in pairs:
@@ -60,7 +60,7 @@ def test_values_stay_and_get_pages(compact_net: HybridRegNet, room: np.ndarray) 
 
 def test_arrays_that_share_memory_do_so_afterwards() -> None:
     array, other = np.arange(3000.0), np.arange(3000.0)
-    first, second, third = settled((array, torch.from_numpy(array), other))
+    first, second, third = compacted((array, torch.from_numpy(array), other))
     assert first.ctypes.data == second.data_ptr()
     assert not np.shares_memory(first, third)
     np.testing.assert_array_equal(first, array)
@@ -73,10 +73,10 @@ def test_strided_empty_and_other_values_are_left() -> None:
     strided = np.zeros((40, 40))[:, ::2]
     trained = torch.ones(3, requires_grad=True)
     for value in (strided, torch.from_numpy(strided), trained, np.zeros(0), 3.0, None, 'name'):
-        assert settled(value) is value
+        assert compacted(value) is value
 
 
-def test_clouds_are_settled_when_encoded(compact_net: HybridRegNet, room: np.ndarray) -> None:
+def test_clouds_are_compacted_when_encoded(compact_net: HybridRegNet, room: np.ndarray) -> None:
     encoded = HybridReg(compact_net.config, compact_net).encode(room, 0.05)
     grids = encoded.view.grid.nearest, encoded.view.wide.nearest
     kept = [a for a in arrays(encoded) if not any(a is g for g in grids) and a.size]

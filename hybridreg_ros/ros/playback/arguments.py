@@ -1,0 +1,37 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Command line of the bag player; without rclpy, so that the reference can be made from it."""
+
+from __future__ import annotations
+
+import argparse
+
+
+def parser() -> argparse.ArgumentParser:
+    """Command line of the player."""
+    p = argparse.ArgumentParser(
+        prog='bag_player',
+        description='Play a rosbag2 into ROS topics, with QoS and /clock on request.',
+    )
+    p.add_argument('bag', help='rosbag2 file (.mcap, .db3) or directory')
+    p.add_argument('--topics', nargs='+', default=[], help='topics to play, default all')
+    p.add_argument('--rate', type=float, default=1.0, help='speed, 1 = as recorded')
+    p.add_argument(
+        '--clock', type=float, nargs='?', const=100.0, default=0.0, metavar='HZ',
+        help='publish /clock so often (100)',
+    )  # fmt: skip
+    p.add_argument('--qos', choices=('reliable', 'sensor_data'), default='reliable')
+    p.add_argument('--qos-depth', type=int, default=10, help='messages DDS keeps per topic')
+    p.add_argument(
+        '--wait', type=float, nargs='?', const=30.0, default=0.0, metavar='S',
+        help='wait so long for subscribers of the clouds (30 s), then give up with an error',
+    )  # fmt: skip
+    p.add_argument('--start', type=float, default=0.0, help='seconds to skip')
+    p.add_argument('--duration', type=float, default=0.0, help='seconds to play, default all')
+    p.add_argument('--loop', action='store_true', help='begin again at the end of the bag')
+    p.add_argument(
+        '--lossless', type=int, nargs='?', const=2, default=0, metavar='N',
+        help='never more than N (2) clouds under way in the odometry node; implies --wait',
+    )  # fmt: skip
+    p.add_argument('--node', default='hybridreg', help='odometry node that --lossless follows')
+    return p

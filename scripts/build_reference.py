@@ -228,11 +228,13 @@ def literal(value: Any) -> str:
 
 def unit(name: str, doc: str) -> str:
     """Unit of an option, by the end of its name or by what its description says."""
+    if 'degrees/s' in doc:
+        return '°/s'
     for end, text in _UNITS:
         if name.endswith(end):
             return text
     for text in ('finest voxels', 'coarse voxels', 'voxels', 'metres', 'seconds', 'm/s', 'points'):
-        if re.search(rf'(in|,|so many) ({text})\b', doc):
+        if re.search(rf'(in|,)( its)? ({text})\b', doc):
             return text
     return 'share' if re.search(r'\bshare\b|\bP\(', doc.split(',', maxsplit=1)[0]) else ''
 
@@ -258,8 +260,8 @@ def ros() -> str:
             table(('', 'topic by default', 'name', 'type', 'depth', 'contents'), rows),
             'Services, all of type `std_srvs/srv/Trigger`:',
             table(('service by default', 'name', 'effect'), services),
-            f'Of the front end, {at_run_time} can be changed while the node runs; of the node, '
-            'everything that [its table](options.md#node) marks.',
+            f'Of the front-end parameters, {at_run_time} can be changed while the node runs; of '
+            'the node parameters, those marked in [their table](options.md#node).',
         )
     )
 
@@ -284,7 +286,10 @@ class Code:
     def find(self, name: str) -> Any:
         """Definition of a class or function."""
         kinds = (ast.ClassDef, ast.FunctionDef)
-        return next(n for n in ast.walk(self._tree) if isinstance(n, kinds) and n.name == name)
+        for node in ast.walk(self._tree):
+            if isinstance(node, kinds) and node.name == name:
+                return node
+        raise LookupError(name)
 
     def constant(self, name: str) -> Any:
         """Value of a constant."""
@@ -328,7 +333,7 @@ def replay_files() -> Iterator[str]:
     yield '## Recordings'
     needs = '../guide/recordings.md#what-a-bag-needs'
     yield f'A rosbag2 directory, `.mcap` or `.db3`: [what a bag needs]({needs}).'
-    yield 'Folders that `hybridreg evaluate` recognises, by what lies in them:'
+    yield 'Folders that `hybridreg evaluate` recognises, and by which files:'
     signs = importlib.import_module(f'{PACKAGE}.data.loaders.openers')._SIGNS
     yield table(('format', 'sign'), [(what, f'`{sign}`') for what, sign, _ in signs])
     yield '## odometry.tum'
@@ -382,7 +387,7 @@ def model_files() -> Iterator[str]:
     yield '## calibration.json'
     calibration = Code(f'{PACKAGE}.odometry.selection.calibration')
     yield calibration.doc
-    yield calibration.attributes('Calibration')
+    yield calibration.attributes('OdometryCalibration')
 
 
 # Markdown

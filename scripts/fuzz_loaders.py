@@ -44,11 +44,10 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.core.pointcloud2 import from_arrays
 from hybridreg_ros.data.loaders.clouds import write_cloud
-from hybridreg_ros.metrics.trajectory import Trajectory
 from hybridreg_ros.model.geometry.voxel_size import choose_voxel_size_m
 from hybridreg_ros.replay.bag_writer import BagWriter
 from hybridreg_ros.replay.outputs import DYNAMIC_TOPIC, ODOM_TOPIC, STATIC_TOPIC
-from hybridreg_ros.replay.trajectory_io import write_tum
+from hybridreg_ros.replay.trajectory_io import tum_row
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -186,8 +185,8 @@ def seeds(folder: Path) -> dict[str, list[Path]]:
     )
     np.save(folder / 'columns.npy', room(0).T.astype(np.float64))
     text_clouds(folder)
-    stamps = np.array([START_NS + i * PERIOD_NS for i in range(FRAMES)])
-    write_tum(folder / 'poses.tum', Trajectory(stamps, np.array(poses())))
+    lines = [tum_row(START_NS + i * PERIOD_NS, T) for i, T in enumerate(poses())]
+    (folder / 'poses.tum').write_text('\n'.join(lines) + '\n')
     rows = [' '.join(f'{v:.9g}' for v in T[:3].ravel()) for T in poses()]
     (folder / 'kitti.txt').write_text('\n'.join(rows) + '\n')
     recordings(folder, rows)

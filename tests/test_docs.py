@@ -111,6 +111,14 @@ def test_pages_stay_short(page: Path) -> None:
     assert size <= LARGEST_PAGE, f'{size} bytes; move figures to docs/lab or docs/results'
 
 
+@pytest.mark.parametrize('page', [*SHORT, *OUTSIDE], ids=name_of)
+def test_options_that_are_named_exist(page: Path) -> None:
+    known = {name for config in CONFIGS for name, _ in options_of(config)}
+    sections = '|'.join(sorted({name.partition('.')[0] for name in known if '.' in name}))
+    named = set(re.findall(rf'`((?:{sections})\.(?!py`)\w+)[`:]', page.read_text('utf-8')))
+    assert named <= known, f'no such options: {named - known}'
+
+
 @pytest.mark.parametrize('page', OUTSIDE, ids=name_of)
 def test_links_outside_the_site_lead_somewhere(page: Path) -> None:
     for target in re.findall(r'\]\(([^)#\s]+)', page.read_text('utf-8')):

@@ -11,12 +11,15 @@ import numpy as np
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.pointcloud2 import CloudData, from_arrays
 from hybridreg_ros.replay.bag_writer import BagWriter
+from hybridreg_ros.replay.trajectory_io import tum_row
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+    from hybridreg_ros.metrics.trajectory import Trajectory
 
 START = 1_700_000_000_123_456_789
 PERIOD = 100_000_000
@@ -123,3 +126,9 @@ def cloud_bytes(frames: int, stamped: bool = True, n: int = 3000) -> list[tuple[
         raw = bytes(store.serialize_cdr(message, 'sensor_msgs/msg/PointCloud2'))
         found.append(('/points', stamp, raw))
     return found
+
+
+def write_tum(path: Path, trajectory: Trajectory) -> None:
+    """Write a TUM file, row by row as `hybridreg replay` does."""
+    rows = zip(trajectory.stamps, trajectory.poses, strict=True)
+    path.write_text(''.join(tum_row(s, T) + '\n' for s, T in rows), encoding='ascii')

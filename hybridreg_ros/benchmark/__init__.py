@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The suites, the rivals, the fits and the tables of results."""
+"""Benchmark suites, competing methods, fits, and tables of results."""

@@ -109,7 +109,9 @@ def _parts(
 
 def _only_dev(args: argparse.Namespace, option: str) -> None:
     if args.suite != 'dev':
-        raise ConfigError(f'{option} needs --suite dev: what is scored must not be fitted on')
+        raise ConfigError(
+            f'{option} needs --suite dev: sequences that are scored must not be used for fitting'
+        )
 
 
 def _model(args: argparse.Namespace) -> Any:

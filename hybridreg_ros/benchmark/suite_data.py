@@ -98,7 +98,8 @@ def _deskewed(frames: list[SuiteFrame]) -> list[SuiteFrame]:
     for k, frame in enumerate(frames):
         if frame.scan.times is None:
             raise FileFormatError(
-                f'frame {k}: no times per point, so no motion can be undone: leave out `deskewed`'
+                f'frame {k}: no times per point, so motion cannot be compensated: '
+                'leave out `deskewed`'
             )
         a, b = (frame, frames[k + 1]) if k + 1 < len(frames) else (frames[k - 1], frame)
         dt = (b.scan.stamp - a.scan.stamp) / NS_PER_S

@@ -92,7 +92,9 @@ def _command(commands: Commands, name: str, body: str, text: str) -> argparse.Ar
 
 
 def _weights(p: argparse.ArgumentParser) -> None:
-    p.add_argument('--weights', type=Path, metavar='FILE', help='checkpoint instead of ours')
+    p.add_argument(
+        '--weights', type=Path, metavar='FILE', help='weights file (default: the packaged one)'
+    )
 
 
 def _extrinsic(p: argparse.ArgumentParser, text: str) -> None:
@@ -106,9 +108,13 @@ def _columns(p: argparse.ArgumentParser) -> None:
 
 
 def _dask(p: argparse.ArgumentParser) -> None:
-    p.add_argument('--workers', type=COUNT, default=1, metavar='N', help='processes (default 1)')
     p.add_argument(
-        '--scheduler', metavar='tcp://HOST:PORT', help='Dask scheduler instead of local processes'
+        '--workers', type=COUNT, default=1, metavar='N', help='number of processes (default 1)'
+    )
+    p.add_argument(
+        '--scheduler',
+        metavar='tcp://HOST:PORT',
+        help='Dask scheduler to use instead of local processes',
     )
 
 
@@ -116,209 +122,380 @@ def _bag_output(p: argparse.ArgumentParser) -> None:
     p.add_argument(
         '--out', type=Path, required=True, metavar='BAG', help='.mcap or .db3 file, or a directory'
     )
-    p.add_argument('--storage', choices=('mcap', 'sqlite3'), help='storage of a directory bag')
+    p.add_argument(
+        '--storage', choices=('mcap', 'sqlite3'), help='storage format if BAG is a directory'
+    )
     p.add_argument('--overwrite', action='store_true', help='replace an existing bag')
 
 
 def _register(commands: Commands) -> None:
     p = _command(commands, 'register', 'cmd_register', 'register two clouds')
-    p.add_argument('source', type=Path, help='.npy .npz .ply .pcd or .bin')
-    p.add_argument('target', type=Path, help='.npy .npz .ply .pcd or .bin')
+    p.add_argument('source', type=Path, help='cloud to align: .npy .npz .ply .pcd or .bin')
+    p.add_argument('target', type=Path, help='cloud to align it with')
     p.add_argument(
-        '--voxel', type=POSITIVE, metavar='M', help='voxel size (default: by the clouds)'
+        '--voxel',
+        type=POSITIVE,
+        metavar='M',
+        help='voxel size in metres (default: chosen from the clouds)',
     )
     _columns(p)
-    p.add_argument('--no-refine', action='store_true', help='leave out the final refinement')
+    p.add_argument('--no-refine', action='store_true', help='skip the final refinement')
     _weights(p)
 
 
 def _convert(commands: Commands) -> None:
-    p = _command(commands, 'convert', 'cmd_convert', 'turn recorded files into a bag')
-    p.add_argument('format', choices=('kitti', 'depth', 'tum'), help='layout of the files')
+    p = _command(commands, 'convert', 'cmd_convert', 'convert recorded files to a bag')
+    p.add_argument('format', choices=('kitti', 'depth', 'tum'), help='format of the recording')
     p.add_argument('directory', type=Path, metavar='DIR', help='folder with the recording')
     _bag_output(p)
     p.add_argument('--poses', type=Path, metavar='FILE', help='poses (default: poses.txt in DIR)')
-    p.add_argument('--rate', type=POSITIVE, default=None, metavar='HZ', help='without times: rate')
-    p.add_argument('--stride', type=COUNT, default=1, metavar='N', help='take every n-th frame')
     _columns(p)
     p.add_argument(
-        '--pixel-step', type=COUNT, default=1, metavar='N', help='depth: every n-th pixel'
+        '--rate',
+        type=POSITIVE,
+        default=None,
+        metavar='HZ',
+        help='frame rate of a recording without times',
+    )
+    p.add_argument('--stride', type=COUNT, default=1, metavar='N', help='use every N-th frame')
+    p.add_argument(
+        '--pixel-step',
+        type=COUNT,
+        default=1,
+        metavar='N',
+        help='depth images: use every N-th pixel',
     )
     p.add_argument(
-        '--max-depth', type=POSITIVE, default=10.0, metavar='M', help='depth: far limit'
+        '--max-depth',
+        type=POSITIVE,
+        default=10.0,
+        metavar='M',
+        help='depth images: ignore points beyond M metres (default 10)',
     )
 
 
 def _simulate(commands: Commands) -> None:
     p = _command(
-        commands, 'simulate', 'cmd_simulate', 'make a procedural dynamic sequence as a bag'
+        commands, 'simulate', 'cmd_simulate', 'simulate a scene in which things move, as a bag'
     )
-    p.add_argument('--scene', choices=('room', 'street'), required=True)
-    _bag_output(p)
-    p.add_argument('--frames', type=COUNT, default=100, metavar='N', help='default 100')
-    p.add_argument('--seed', type=SEED, default=1, metavar='S', help='default 1')
-    p.add_argument('--rate', type=POSITIVE, default=10.0, metavar='HZ', help='default 10')
     p.add_argument(
-        '--moving', choices=('none', '10-30', '30-50'), default='10-30',
+        '--scene',
+        choices=('room', 'street'),
+        required=True,
+        help='kind of scene: depth camera in a room, lidar in a street',
+    )
+    _bag_output(p)
+    p.add_argument(
+        '--frames', type=COUNT, default=100, metavar='N', help='number of frames (default 100)'
+    )
+    p.add_argument('--seed', type=SEED, default=1, metavar='S', help='random seed (default 1)')
+    p.add_argument(
+        '--rate', type=POSITIVE, default=10.0, metavar='HZ', help='frame rate (default 10)'
+    )
+    p.add_argument(
+        '--moving',
+        choices=('none', '10-30', '30-50'),
+        default='10-30',
         help='share of moving points in percent (default 10-30)',
-    )  # fmt: skip
+    )
 
 
 def _replay(commands: Commands) -> None:
     p = _command(
-        commands, 'replay', 'cmd_replay', 'send bags through the front end and score them'
+        commands, 'replay', 'cmd_replay', 'run the front end on bags and score the result'
     )
-    p.add_argument('bags', type=Path, nargs='*', metavar='BAG')
     p.add_argument(
-        '--out', type=Path, metavar='DIR',
-        help='folder of the results (default out/BAG); with several bags one folder each in it',
-    )  # fmt: skip
+        'bags', type=Path, nargs='*', metavar='BAG', help='rosbag2 directory, .mcap or .db3 file'
+    )
     p.add_argument(
-        '--registrar', choices=('hybridreg', 'kiss-icp'),
-        help='front end (default: as the config says, else hybridreg)',
-    )  # fmt: skip
-    p.add_argument('--config', type=Path, metavar='YAML', help='settings, see dump-config')
+        '--out',
+        type=Path,
+        metavar='DIR',
+        help='folder for the results (default out/BAG); several bags get one subfolder each',
+    )
+    p.add_argument(
+        '--registrar',
+        choices=('hybridreg', 'kiss-icp'),
+        help='which branch leads (default: as in the config, else hybridreg)',
+    )
+    p.add_argument('--config', type=Path, metavar='YAML', help='settings (see dump-config)')
     _weights(p)
-    p.add_argument('--topic', help='PointCloud2 topic, where a bag has several')
-    p.add_argument('--truth-topic', help='topic with true poses (default /ground_truth/odom)')
+    p.add_argument('--topic', help='PointCloud2 topic, if the bag has several')
+    p.add_argument('--truth-topic', help='topic with the true poses (default /ground_truth/odom)')
     _extrinsic(p, 'pose of the sensor in the body of the true poses')
-    p.add_argument('--time-unit', default='auto', help='unit of per-point times (default auto)',
-                   choices=('auto', 's', 'ms', 'us', 'ns', 'normalised', 'none'))  # fmt: skip
-    p.add_argument('--time-field', default='', metavar='NAME',
-                   help='field of per-point times (default: the first usable one)')  # fmt: skip
-    p.add_argument('--stride', type=COUNT, default=1, metavar='N', help='take every n-th cloud')
-    p.add_argument('--max-frames', type=COUNT, metavar='N', help='stop after n clouds')
-    p.add_argument('--no-clouds', action='store_true', help='leave the clouds out of dynamic.mcap')
-    p.add_argument('--live', action='store_true', help='through the real node over DDS')
-    p.add_argument('--rate', type=SPEED, default=0.0, metavar='X',
-                   help='live: speed, 1 = as recorded, 0 = as the node can (default)')  # fmt: skip
-    p.add_argument('--domain-id', type=_number(int, 0, 232), metavar='N', help='live: ROS domain')
-    p.add_argument('--timeout', type=POSITIVE, default=60.0, metavar='S', help='live: at most')
+    p.add_argument(
+        '--time-unit',
+        default='auto',
+        help='unit of the per-point times (default auto)',
+        choices=('auto', 's', 'ms', 'us', 'ns', 'normalised', 'none'),
+    )
+    p.add_argument(
+        '--time-field',
+        default='',
+        metavar='NAME',
+        help='field with the per-point times (default: the first usable one)',
+    )
+    p.add_argument('--stride', type=COUNT, default=1, metavar='N', help='use every N-th cloud')
+    p.add_argument('--max-frames', type=COUNT, metavar='N', help='stop after N clouds')
+    p.add_argument('--no-clouds', action='store_true', help='write no clouds to dynamic.mcap')
+    p.add_argument('--live', action='store_true', help='play the bag to the real node over DDS')
+    p.add_argument(
+        '--rate',
+        type=SPEED,
+        default=0.0,
+        metavar='X',
+        help='with --live: playback speed, 1 = as recorded, 0 = as fast as the node can (default)',
+    )
+    p.add_argument(
+        '--domain-id', type=_number(int, 0, 232), metavar='N', help='with --live: ROS domain'
+    )
+    p.add_argument(
+        '--timeout',
+        type=POSITIVE,
+        default=60.0,
+        metavar='S',
+        help='with --live: give up if the node is silent for S seconds (default 60)',
+    )
     _dask(p)
     _suite(p)
 
 
 def _suite(p: argparse.ArgumentParser) -> None:
-    group = p.add_argument_group('benchmark', 'instead of bags: sequences, rivals and one table')
-    group.add_argument('--suite', choices=('all', 'rooms', 'streets', 'real', 'dev'))
-    group.add_argument('--sequences', nargs='+', default=[], metavar='NAME', help='only these')
-    group.add_argument('--methods', nargs='+', default=[], metavar='NAME',
-                       help='ours, ours-no-mask, ours-no-network, kiss-icp, genz-icp, '
-                       'small-gicp (default all)')  # fmt: skip
-    group.add_argument('--strides', nargs='+', type=COUNT, default=[], metavar='N',
-                       help='default 1 2 5 10')  # fmt: skip
-    group.add_argument('--frames', type=COUNT, metavar='N', help='at most n of each sequence')
-    group.add_argument('--data', type=Path, default=Path('../shared/data'), metavar='DIR',
-                       help='real recordings (default ../shared/data)')  # fmt: skip
+    group = p.add_argument_group(
+        'benchmark', 'instead of bags: sequences, competing methods and one table'
+    )
+    group.add_argument(
+        '--suite', choices=('all', 'rooms', 'streets', 'real', 'dev'), help='which sequences'
+    )
+    group.add_argument(
+        '--sequences', nargs='+', default=[], metavar='NAME', help='run only these sequences'
+    )
+    group.add_argument(
+        '--methods',
+        nargs='+',
+        default=[],
+        metavar='NAME',
+        help='ours, ours-no-mask, ours-no-network, kiss-icp, genz-icp, small-gicp (default: all)',
+    )
+    group.add_argument(
+        '--strides',
+        nargs='+',
+        type=COUNT,
+        default=[],
+        metavar='N',
+        help='use every N-th frame, once per N given (default 1 2 5 10)',
+    )
+    group.add_argument(
+        '--frames', type=COUNT, metavar='N', help='maximum number of frames per sequence'
+    )
+    group.add_argument(
+        '--data',
+        type=Path,
+        default=Path('../shared/data'),
+        metavar='DIR',
+        help='folder of the recordings (default ../shared/data)',
+    )
     fit = group.add_mutually_exclusive_group()
-    fit.add_argument('--fit', type=Path, metavar='FILE',
-                     help='with --suite dev: fit evidence and covariance')  # fmt: skip
-    fit.add_argument('--fit-confidence', type=Path, metavar='FILE',
-                     help='with --suite dev: fit the confidence that is reported')  # fmt: skip
-    group.add_argument('--table-only', action='store_true', help='make the table of what is there')
+    fit.add_argument(
+        '--fit',
+        type=Path,
+        metavar='FILE',
+        help='with --suite dev: fit the evidence and the covariance, write FILE',
+    )
+    fit.add_argument(
+        '--fit-confidence',
+        type=Path,
+        metavar='FILE',
+        help='with --suite dev: fit the reported confidence, write FILE',
+    )
+    group.add_argument(
+        '--table-only', action='store_true', help='make the table from the results that exist'
+    )
 
 
 def _score(commands: Commands) -> None:
-    p = _command(commands, 'score', 'cmd_score', 'compare a trajectory or a bag with the truth')
+    p = _command(
+        commands, 'score', 'cmd_score', 'compare a trajectory or a bag with the ground truth'
+    )
     p.add_argument('estimate', type=Path, metavar='EST', help='TUM or KITTI poses, or a bag')
     p.add_argument('reference', type=Path, metavar='REF', help='TUM or KITTI poses, or a bag')
     p.add_argument('--topic', help='topic of the poses of EST (default /hybridreg/odom)')
     p.add_argument('--ref-topic', help='the same of REF (default /ground_truth/odom)')
     _extrinsic(p, 'pose of the body of EST in that of REF')
-    p.add_argument('--tolerance', type=POSITIVE, default=0.01, metavar='S', help='default 0.01')
+    p.add_argument(
+        '--tolerance',
+        type=POSITIVE,
+        default=0.01,
+        metavar='S',
+        help='maximum difference between matching stamps, seconds (default 0.01)',
+    )
 
 
 def _generate(commands: Commands) -> None:
     p = _command(commands, 'generate', 'cmd_generate', 'generate pairs of HybridMatch splits')
     p.add_argument(
         'split',
-        help='{room,street}-{match,lomatch}-{rigid,10-30,30-50}, all for these twelve (one folder '
-        'each in DIR), or {room,street}-train',
+        help='{room,street}-{match,lomatch}-{rigid,10-30,30-50}, "all" for these twelve (one '
+        'folder each in DIR), or {room,street}-train',
     )
-    p.add_argument('--part', choices=('train', 'val', 'test'), default='train',
-                   help='whose seeds and number of pairs (default train)')  # fmt: skip
-    p.add_argument('--pairs', type=COUNT, metavar='N',
-                   help='default: val 100; test 1000, streets 200; train has none')  # fmt: skip
     p.add_argument(
-        '--seed', type=SEED, metavar='S',
-        help='first scene instead of that of the part; train lies below 3,000,000, val below '
+        '--part',
+        choices=('train', 'val', 'test'),
+        default='train',
+        help='part whose seeds and number of pairs are used (default train)',
+    )
+    p.add_argument(
+        '--pairs',
+        type=COUNT,
+        metavar='N',
+        help='number of pairs (default: val 100; test 1000, streets 200; train has none)',
+    )
+    p.add_argument(
+        '--seed',
+        type=SEED,
+        metavar='S',
+        help='first scene, instead of that of the part; train lies below 3,000,000, val below '
         '6,000,000, test below 9,000,000',
-    )  # fmt: skip
-    p.add_argument('--out', type=Path, required=True, metavar='DIR')
-    p.add_argument('--layout', choices=('shards', 'official'), default='shards')
+    )
+    p.add_argument('--out', type=Path, required=True, metavar='DIR', help='folder for the pairs')
+    p.add_argument(
+        '--layout',
+        choices=('shards', 'official'),
+        default='shards',
+        help='format of the files (default shards)',
+    )
     p.add_argument('--preview', action='store_true', help='also write a contact sheet')
     _dask(p)
 
 
 def _train(commands: Commands) -> None:
-    p = _command(commands, 'train', 'cmd_train', 'train the network as a config says, or go on')
-    p.add_argument('config', type=Path, metavar='CONFIG', help='YAML, see config/')
+    p = _command(commands, 'train', 'cmd_train', 'train the network, or resume a run')
     p.add_argument(
-        '--out', metavar='DIR', help='run folder (default from the config); resumed if it exists'
+        'config', type=Path, metavar='CONFIG', help='settings in YAML, such as config/train.yaml'
     )
-    p.add_argument('--steps', type=COUNT, metavar='N', help='instead of the number in the config')
+    p.add_argument(
+        '--out', metavar='DIR', help='run folder (default: as in the config); resumed if it exists'
+    )
+    p.add_argument(
+        '--steps', type=COUNT, metavar='N', help='number of steps, instead of that in the config'
+    )
 
 
 def _ship(commands: Commands) -> None:
-    p = _command(commands, 'ship', 'cmd_ship', 'make a weights file: fit the confidence, halve')
-    p.add_argument('weights', type=Path, metavar='CHECKPOINT', help='of a training run')
-    p.add_argument('data', type=Path, nargs='+', metavar='DATA', help='validation pairs')
-    p.add_argument('--out', type=Path, required=True, metavar='FILE')
+    p = _command(
+        commands, 'ship', 'cmd_ship', 'make a weights file: fit the confidence and store float16'
+    )
+    p.add_argument('weights', type=Path, metavar='CHECKPOINT', help='checkpoint of a training run')
+    p.add_argument(
+        'data', type=Path, nargs='+', metavar='DATA', help='folders of validation pairs'
+    )
+    p.add_argument('--out', type=Path, required=True, metavar='FILE', help='weights file to write')
 
 
 def _evaluate(commands: Commands) -> None:
     p = _command(
-        commands, 'evaluate', 'cmd_evaluate', 'score a method on pairs: RR IR FMR RRE RTE'
+        commands,
+        'evaluate',
+        'cmd_evaluate',
+        'score a registration method on pairs: RR IR FMR RRE RTE',
     )
     p.add_argument(
-        'data', type=Path, nargs='+', metavar='DATA',
-        help='folders: shards, 3DMatch, ETH, KITTI, TUM, 7-Scenes, or HybridMatch as released',
-    )  # fmt: skip
-    p.add_argument('--method', default='hybridreg', metavar='NAME',
-                   help='hybridreg; no-mask lgr lgr-no-mask ransac-N lgr-top-N; without a '
-                        'network: fpfh kiss-matcher (need the extra bench)')  # fmt: skip
-    p.add_argument('--limit', type=COUNT, metavar='N', help='at most n pairs of each')
-    p.add_argument('--keep', type=Path, metavar='FILE',
-                   help='scores pair by pair; started again with it, goes on')  # fmt: skip
-    p.add_argument('--markdown', type=Path, metavar='FILE', help='also write the tables')
+        'data',
+        type=Path,
+        nargs='+',
+        metavar='DATA',
+        help='folders of pairs: shards, 3DMatch, ETH, KITTI, TUM, 7-Scenes, or HybridMatch as '
+        'released',
+    )
+    p.add_argument(
+        '--method',
+        default='hybridreg',
+        metavar='NAME',
+        help='hybridreg (default), no-mask, lgr, lgr-no-mask, ransac-N, lgr-top-N; without a '
+        'network: fpfh, kiss-matcher (both need the extra bench)',
+    )
+    p.add_argument('--limit', type=COUNT, metavar='N', help='maximum number of pairs per folder')
+    p.add_argument(
+        '--keep',
+        type=Path,
+        metavar='FILE',
+        help='file that keeps the score of every pair; the same command resumes from it',
+    )
+    p.add_argument('--markdown', type=Path, metavar='FILE', help='also write the tables to FILE')
     _weights(p)
     _dask(p)
 
 
 def _bench(commands: Commands) -> None:
-    p = _command(commands, 'bench', 'cmd_bench', 'measure milliseconds per stage and peak memory')
+    p = _command(commands, 'bench', 'cmd_bench', 'measure the time per stage and the peak memory')
     p.add_argument(
-        'pair', type=Path, nargs='*', metavar='CLOUD', help='SRC TGT (default built in)'
+        'pair',
+        type=Path,
+        nargs='*',
+        metavar='CLOUD',
+        help='source and target (default: a built-in pair)',
     )
-    p.add_argument('--repeat', type=COUNT, default=5, metavar='N', help='default 5')
     p.add_argument(
-        '--threads', type=_number(int, 1, 256), default=1, metavar='N', help='default 1'
+        '--repeat', type=COUNT, default=5, metavar='N', help='number of repetitions (default 5)'
     )
     p.add_argument(
-        '--peers', action='store_true', help='beside FPFH + RANSAC and KISS-Matcher (extra bench)'
+        '--threads',
+        type=_number(int, 1, 256),
+        default=1,
+        metavar='N',
+        help='number of threads (default 1)',
     )
-    p.add_argument('--data', action='store_true',
-                   help='measure the making of pairs, beside ray casting alone')  # fmt: skip
-    p.add_argument('--pairs', type=COUNT, default=24, metavar='N',
-                   help='with --data: pairs of each split (default 24)')  # fmt: skip
+    p.add_argument(
+        '--peers',
+        action='store_true',
+        help='also measure FPFH + RANSAC and KISS-Matcher (needs the extra bench)',
+    )
+    p.add_argument(
+        '--data',
+        action='store_true',
+        help='measure how long pairs take to make, compared with ray casting alone',
+    )
+    p.add_argument(
+        '--pairs',
+        type=COUNT,
+        default=24,
+        metavar='N',
+        help='with --data: number of pairs per split (default 24)',
+    )
     _weights(p)
 
 
 def _dump_config(commands: Commands) -> None:
     p = _command(commands, 'dump-config', 'cmd_config', 'print every setting with its range')
-    p.add_argument('--config', type=Path, metavar='YAML', help='show these values')
-    p.add_argument('--out', type=Path, metavar='FILE', help='write instead of print')
+    p.add_argument('--config', type=Path, metavar='YAML', help='print the values of this file')
+    p.add_argument('--out', type=Path, metavar='FILE', help='write to FILE instead of printing')
 
 
 def _warm_up(commands: Commands) -> None:
-    _command(commands, 'warm-up', 'cmd_warm_up', 'compile all kernels, so that no start waits')
+    _command(commands, 'warm-up', 'cmd_warm_up', 'compile all kernels in advance')
 
 
 def _demo(commands: Commands) -> None:
-    p = _command(commands, 'demo', 'cmd_demo', 'simulate, play into the real node, score, report')
-    p.add_argument('--out', type=Path, default=Path('out/demo'), metavar='DIR')
-    p.add_argument('--frames', type=COUNT, default=60, metavar='N', help='default 60')
-    p.add_argument('--seed', type=SEED, default=1, metavar='S')
-    p.add_argument('--rate', type=SPEED, default=1.0, metavar='X', help='speed, 1 = as recorded')
+    p = _command(commands, 'demo', 'cmd_demo', 'simulate, play to the real node, score and report')
+    p.add_argument(
+        '--out',
+        type=Path,
+        default=Path('out/demo'),
+        metavar='DIR',
+        help='folder for the results (default out/demo)',
+    )
+    p.add_argument(
+        '--frames', type=COUNT, default=60, metavar='N', help='number of frames (default 60)'
+    )
+    p.add_argument('--seed', type=SEED, default=1, metavar='S', help='random seed (default 1)')
+    p.add_argument(
+        '--rate',
+        type=SPEED,
+        default=1.0,
+        metavar='X',
+        help='playback speed, 1 = as recorded (default)',
+    )
     p.add_argument('--domain-id', type=_number(int, 0, 232), metavar='N', help='ROS domain')
-    p.add_argument('--bag', type=Path, metavar='BAG', help='use this bag instead of simulating')
+    p.add_argument(
+        '--bag', type=Path, metavar='BAG', help='use this bag instead of simulating one'
+    )

@@ -43,7 +43,7 @@ def _one(args: argparse.Namespace, split: str, out: Path) -> SplitSummary:
     seed = first_seed(args.part, split) if args.seed is None else args.seed
     pairs = args.pairs or PAIRS.get(args.part, {}).get(scene_of(split))
     if pairs is None:
-        raise ConfigError(f'--part {args.part} has no usual number of pairs: say it with --pairs')
+        raise ConfigError(f'--part {args.part} has no default number of pairs: give --pairs')
     with bar(pairs, split, 'pair') as shown:
 
         def report(done: int, wanted: int) -> None:

@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     stages = ', '.join(f'{k} {1000 * v:.0f}' for k, v in result.timings_s.items())
     print(f'milliseconds     {stages}')
     if result.attempts > 1:
-        print(f'attempts         {result.attempts}, for the first left doubt')
+        print(f'attempts         {result.attempts}, because the first one left doubt')
     write_result(
         args,
         {

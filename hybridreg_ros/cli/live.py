@@ -52,7 +52,7 @@ def check_options(args: argparse.Namespace) -> None:
     }
     for option, used in refused.items():
         if used:
-            raise ConfigError(f'{option} does not go with --live: leave one of them out')
+            raise ConfigError(f'{option} cannot be combined with --live: leave one of them out')
 
 
 def _said(diagnostics: str) -> list[str]:

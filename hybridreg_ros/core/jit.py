@@ -76,9 +76,11 @@ def cache_folder() -> Path:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             _log.warning(
-                'compiled kernels cannot be kept in %s (%s): set NUMBA_CACHE_DIR to a folder that '
-                'can be written', folder, error.strerror,
-            )  # fmt: skip
+                'compiled kernels cannot be stored in %s (%s): set NUMBA_CACHE_DIR to a writable '
+                'folder',
+                folder,
+                error.strerror,
+            )
             continue
         if os.access(folder, os.W_OK):
             return folder

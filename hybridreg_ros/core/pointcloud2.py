@@ -382,7 +382,7 @@ def _rows(msg: Any) -> NDArray[np.uint8]:
     if height * width == 0:
         return np.zeros((0, max(step, 1)), dtype=np.uint8)
     if step <= 0:
-        raise PointCloudError(f'point_step is {step}, expected the bytes of one point')
+        raise PointCloudError(f'point_step is {step}, expected the size of one point in bytes')
     if row_step < width * step:
         raise PointCloudError(
             f'row_step is {row_step}, expected >= width * point_step = {width * step}'

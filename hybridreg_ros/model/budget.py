@@ -17,13 +17,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Budget:
-    """Most occupied voxels of a cloud; the voxel grows until all levels keep to it.
+    """Maximum number of occupied voxels; the voxel grows until every level keeps to it.
 
     The defaults register as many real room pairs as 30,000 points and 768 superpoints do.
     """
 
-    max_points: int = option(5_000, 'occupied voxels of the finest level', low=100)
-    max_superpoints: int = option(256, 'occupied voxels of the coarsest level', low=8)
+    max_points: int = option(
+        5_000, 'maximum number of occupied voxels on the finest level', low=100
+    )
+    max_superpoints: int = option(
+        256, 'maximum number of occupied voxels on the coarsest level', low=8
+    )
 
     def __post_init__(self) -> None:
         """Check ranges.

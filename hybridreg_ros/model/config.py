@@ -21,76 +21,112 @@ class ModelConfig:
     # pyramid
     voxel_factor: float = option(
         1.0,
-        'finest voxel over the one that suits the sensor (0.05 m in rooms, 0.3 m in streets)',
+        'finest voxel relative to the one that suits the sensor (0.05 m in rooms, 0.3 m in '
+        'streets)',
         low=0.25,
         high=4.0,
     )
-    max_points: int = option(30_000, 'cap of the finest level; more are thinned evenly', low=100)
-    max_superpoints: int = option(768, 'cap of the coarsest level; more are thinned', low=8)
+    max_points: int = option(
+        30_000,
+        'maximum number of points on the finest level; larger clouds are thinned evenly',
+        low=100,
+    )
+    max_superpoints: int = option(
+        768, 'maximum number of points on the coarsest level; more are thinned', low=8
+    )
     radius: float = option(2.5, 'neighbour radius, voxels of its level', low=1.0, high=5.0)
-    neighbours: int = option(20, 'nearest neighbours kept within the radius', low=4, high=64)
+    neighbours: int = option(
+        20, 'maximum number of neighbours within that radius, nearest first', low=4, high=64
+    )
     # backbone
     stem: int = option(32, 'width of the first convolution', low=8)
     widths: tuple[int, ...] = option((64, 128, 256, 512), 'width of each level', low=8)
     bottleneck: int = option(4, 'a block convolves at width / bottleneck', low=1, high=8)
-    extra_blocks: int = option(1, 'more residual blocks per level after the first', low=0, high=4)
-    groups: int = option(8, 'groups of every group normalisation (per cloud)', low=1, high=64)
-    kernel_points: int = option(15, 'kernel points, one of them at the centre', low=5, high=32)
-    kernel_radius: float = option(1.5, 'distance of kernel points, voxels', low=0.5, high=4.0)
+    extra_blocks: int = option(
+        1, 'number of residual blocks per level after the first one', low=0, high=4
+    )
+    groups: int = option(
+        8, 'number of groups of every group normalisation (per cloud)', low=1, high=64
+    )
+    kernel_points: int = option(
+        15, 'number of kernel points, one of them in the centre', low=5, high=32
+    )
+    kernel_radius: float = option(
+        1.5, 'distance of the kernel points from the centre, voxels', low=0.5, high=4.0
+    )
     kernel_extent: float = option(1.2, 'reach of their linear influence, voxels', low=0.5)
     fine_level: int = option(1, 'level of the fine points', low=0, high=2)
     fine_dim: int = option(64, 'width of the fine features', low=8)
     # geometric transformer
     dim: int = option(128, 'width of the transformer', low=16)
-    heads: int = option(4, 'attention heads', low=1, high=16)
-    blocks: int = option(3, 'self-attention and cross-attention pairs', low=1, high=12)
+    heads: int = option(4, 'number of attention heads', low=1, high=16)
+    blocks: int = option(
+        3, 'number of pairs of self-attention and cross-attention', low=1, high=12
+    )
     sigma_distance: float = option(4.0, 'unit of distances in the embedding, voxels', low=0.1)
     sigma_angle_deg: float = option(15.0, 'unit of angles in the embedding', low=1.0, high=90.0)
-    angle_neighbours: int = option(3, 'neighbours that span the angles', low=1, high=8)
-    angle_reduction: str = option('mean', 'over those neighbours', choices=('mean', 'max'))
-    distance_bins: int = option(512, 'rows of the distance table', low=16, high=4096)
+    angle_neighbours: int = option(3, 'number of neighbours that span the angles', low=1, high=8)
+    angle_reduction: str = option(
+        'mean', 'how the angles of those neighbours are combined', choices=('mean', 'max')
+    )
+    distance_bins: int = option(512, 'number of rows of the distance table', low=16, high=4096)
     distance_step: float = option(0.625, 'voxels per row of the distance table', low=0.05)
-    angle_bins: int = option(129, 'rows of the angle table over 180 degrees', low=16, high=1024)
+    angle_bins: int = option(
+        129, 'number of rows of the angle table over 180 degrees', low=16, high=1024
+    )
     # uncertainty mask
-    mask_outputs: int = option(2, '2: static and seen apart; 1: one logit (paper)', low=1, high=2)
+    mask_outputs: int = option(
+        2,
+        'logits of the mask: 2 = static and seen separately, 1 = one for both (paper)',
+        low=1,
+        high=2,
+    )
     use_mask: bool = option(True, 'let the mask weigh the superpoint correlation')
     mask_combination: str = option(
         'confidence_product',
         'weight of a superpoint pair',
         choices=('confidence_product', 'variance_product'),
     )
-    mask_exponent: float = option(0.5, 'power to which that weight is raised', low=0.0, high=4.0)
+    mask_exponent: float = option(0.5, 'exponent of that weight', low=0.0, high=4.0)
     # superpoint and point matching
-    top_pairs: int = option(64, 'superpoint pairs kept', low=1, high=1024)
+    top_pairs: int = option(64, 'number of superpoint pairs kept', low=1, high=1024)
     pair_temperature: float = option(
-        0.05, 'of the correlation that ranks them; 0.5 in the paper', low=0.005, high=1.0
+        0.05,
+        'temperature of the correlation that ranks them; 0.5 in the paper',
+        low=0.005,
+        high=1.0,
     )
     dual_normalisation: bool = option(True, 'normalise the correlation over rows and columns')
-    patch_size: int = option(32, 'fine points in a patch', low=4, high=256)
-    patch_radius: float = option(12.0, 'reach of a patch from its superpoint, voxels', low=1.0)
-    sinkhorn_iterations: int = option(20, 'Sinkhorn iterations', low=1, high=200)
+    patch_size: int = option(32, 'maximum number of fine points in a patch', low=4, high=256)
+    patch_radius: float = option(
+        12.0, 'maximum distance of a patch from its superpoint, voxels', low=1.0
+    )
+    sinkhorn_iterations: int = option(20, 'number of Sinkhorn iterations', low=1, high=200)
     # pose
-    mutual_top: int = option(3, 'entries of a row and column that may match', low=1, high=16)
-    min_score: float = option(0.05, 'smallest score of a point match', low=0.0, high=1.0)
+    mutual_top: int = option(
+        3, 'number of largest entries per row and column that may match', low=1, high=16
+    )
+    min_score: float = option(0.05, 'minimum score of a point match', low=0.0, high=1.0)
     acceptance_radius: float = option(2.0, 'inlier distance of LGR, voxels', low=0.1)
-    refinements: int = option(5, 'refits to the inliers', low=1, high=50)
+    refinements: int = option(5, 'number of refits to the inliers', low=1, high=50)
     estimator: str = option(
         'verified',
-        'pose: best of many hypotheses by the fit of the clouds, or from the point matches alone',
+        'how the pose is found: best of many hypotheses by the fit of the clouds, or from the '
+        'point matches alone',
         choices=('verified', 'lgr', 'ransac'),
     )
     ransac_samples: int = option(
-        0, 'best point matches that RANSAC draws from; 0 = all', low=0, high=100_000
+        0, 'number of best point matches that RANSAC draws from; 0 = all', low=0, high=100_000
     )
     # further attempts
     attempts: int = option(
         5,
-        'most registrations of a pair, each done another way, while there is doubt',
+        'maximum number of registrations of a doubtful pair, each done differently',
         low=1,
         high=5,
     )
     sure: float = option(
-        0.8, 'confidence from which register() makes no further attempt', low=0.0, high=1.0
+        0.8, 'confidence at which register() makes no further attempt', low=0.0, high=1.0
     )
 
     def __post_init__(self) -> None:

@@ -16,6 +16,7 @@ from hybridreg_ros.core.scan import NS_PER_S, units_note
 from hybridreg_ros.odometry import network_branch
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.intake import Intake
+from hybridreg_ros.odometry.load import Load
 from hybridreg_ros.odometry.motion.prediction import Motion
 from hybridreg_ros.odometry.preprocess import preprocess, recognise_sensor
 from hybridreg_ros.odometry.registration import covariance
@@ -91,6 +92,7 @@ class HybridOdometry:
         """Forget pose, map and keyframes; the next usable scan defines the odom frame anew."""
         self._finish()
         self._intake.reset()
+        self._load = Load()
         self.reported_confidence: ReportedConfidence | None = None
         self._motion = self._make_motion()
         self._tracker: Tracker | None = None
@@ -105,7 +107,7 @@ class HybridOdometry:
         """
         return self.locate(scan)[1]()
 
-    def locate(self, scan: Scan) -> tuple[OdometryResult, Rest]:
+    def locate(self, scan: Scan, behind: bool = False) -> tuple[OdometryResult, Rest]:
         """Take one scan, in two parts: its pose at once, mask, map and keyframes afterwards.
 
         A scan is preprocessed and encoded while the rest of the scan before is still being made
@@ -113,6 +115,8 @@ class HybridOdometry:
 
         Args:
             scan: the scan.
+            behind: whether scans were left out since the last one because it took too long; then
+                less is done per scan for a while (`odometry/load.py`).
 
         Returns:
             What is known with the pose: `dynamic_probability` is 0 everywhere, and it is no
@@ -129,13 +133,15 @@ class HybridOdometry:
         if cloud is None or self._tracker is None:
             nothing = self._without_map(scan, watch)
             return nothing, Rest(lambda: nothing)
-        encoding = self._tracker.encode(cloud)
+        effort = self._load.effort(behind)
+        encoded = self._tracker.encode(cloud, effort.budget)
         watch.lap('encode')
         self._finish()
         watch.resume()
         stamp = scan.stamp + round(cloud.instant_s * NS_PER_S)
-        estimate = self._tracker.step(cloud, encoding, stamp, watch)
+        estimate = self._tracker.step(cloud, encoded, stamp, effort, watch)
         result = self._result(scan, cloud, estimate, fault, watch)
+        result = replace(result, load=effort.level)
         self._rest = Rest(partial(self._completed, result, estimate.update, watch))
         return result, self._rest
 

@@ -6,7 +6,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from itertools import islice
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -36,10 +37,10 @@ if TYPE_CHECKING:
 
     from hybridreg_ros.odometry.config import OdometryConfig
     from hybridreg_ros.odometry.motion.prediction import Expected
-    from hybridreg_ros.odometry.network_branch import LearnedBranch, Proposal
+    from hybridreg_ros.odometry.network_branch import Encoded, LearnedBranch, Proposal
     from hybridreg_ros.odometry.preprocess import SensorModel
     from hybridreg_ros.odometry.preprocessed import PreprocessedScan
-    from hybridreg_ros.odometry.registration.alignment import Fit
+    from hybridreg_ros.odometry.registration.alignment import Basin, Fit
     from hybridreg_ros.odometry.result import Watch
     from hybridreg_ros.odometry.world import World
 
@@ -95,6 +96,10 @@ class Locator:
             Reason.REGISTRAR_KISS_ICP if config.registrar == 'kiss-icp' else Reason.NO_WEIGHTS
         )
         self._rigour = _TOLD_AGAIN[sensor.kind]
+        self._network_spread = (
+            _NETWORK_SPREAD * sensor.voxel_size_m,
+            _NETWORK_SPREAD * float(np.deg2rad(2.0)),
+        )
         self._prior: Expected | None = None
         self._reach_m: float | None = None
         self.learn = self._fallback.learn
@@ -103,21 +108,23 @@ class Locator:
     def locate(
         self,
         cloud: PreprocessedScan,
-        encoding: Any,
+        scan: Encoded | None,
         expected: Expected,
         last: F64,
         trust: F32,
         watch: Watch,
+        wide: bool = True,
     ) -> Located | Reason:
         """Pose by the network when it is trusted, else by the fallback; or why there is none.
 
         Args:
             cloud: the preprocessed scan.
-            encoding: of it, by the network branch; None without one.
+            scan: it encoded by the network branch; None without one.
             expected: pose by constant velocity.
             last: (4, 4) last pose.
             trust: (K,) weight per registered point.
             watch: books the time per stage.
+            wide: whether kiss-icp may start elsewhere than close to the prediction.
         """
         self.judged = []
         self._prior = expected.widened(*(_HEED / self._rigour))
@@ -126,30 +133,33 @@ class Locator:
         proposal = None
         if self._learned is not None:
             keyframe = self._world.keyframes.to_match(expected.pose)
-            proposal = self._learned.propose(encoding, keyframe)
+            proposal = self._learned.propose(scan, keyframe)
             watch.lap('match')
         if proposal is not None:  # its mask knows of those who came since the last scan
             still = trust * (1.0 - proposal.uncertainty[cloud.icp_in_map])
             if (still > 0.5).sum() >= _LEFT * (trust > 0.5).sum():
                 check = partial(self._judged, cloud, still, expected)
-        found = self._by_network(cloud, proposal, trust, check)
+        found = self._by_network(cloud, proposal, trust, check, expected)
         watch.lap('refine')
         if isinstance(found, Located) and self.confidence_of(found).confidence >= self._sure:
             return found
         why = found if isinstance(found, Reason) else Reason.LOW_CONFIDENCE
-        other = self._by_fallback(cloud, [expected.pose, last], trust, check, why)
+        guesses = [expected.pose, last]
+        other = self._by_fallback(cloud, guesses, trust, check, why, wide)
         return found if isinstance(found, Located) and not _is_better(other, found) else other
 
     def confidence_of(self, found: Located) -> reported_confidence.ReportedConfidence:
         """What is known of the pose that was found for the last scan, all ways considered."""
         return reported_confidence.of(found, self.judged, self._voxel_m)
 
-    def relocate(self, cloud: PreprocessedScan, encoding: Any, last: F64) -> Located | Reason:
+    def relocate(
+        self, cloud: PreprocessedScan, scan: Encoded | None, last: F64
+    ) -> Located | Reason:
         """Pose of a scan when the last pose says little: by the fallback, then by keyframes.
 
         Args:
             cloud: the preprocessed scan.
-            encoding: of it, by the network branch; None without one.
+            scan: it encoded by the network branch; None without one.
             last: (4, 4) last pose before the loss.
         """
         trust = np.ones(len(cloud.icp_rows), np.float32)
@@ -160,7 +170,7 @@ class Locator:
             return found
         if self._learned is not None:
             for keyframe in self._world.keyframes.nearest(last, self._config.lost.keyframes_tried):
-                proposal = self._learned.propose(encoding, keyframe)
+                proposal = self._learned.propose(scan, keyframe)
                 by_network = self._by_network(cloud, proposal, trust, check)
                 if isinstance(by_network, Located):
                     return by_network
@@ -219,7 +229,7 @@ class Locator:
         """
         if self._prior is None:
             return None
-        shift_m, turn_rad = _NETWORK_SPREAD * np.array([self._voxel_m, np.deg2rad(2.0)])
+        shift_m, turn_rad = self._network_spread
         both = replace(
             self._prior,
             shift_m=float(np.hypot(self._prior.shift_m, shift_m)),
@@ -227,12 +237,31 @@ class Locator:
         )
         return self._prior if np.abs(both.off(pose)).max() <= _FAR else None
 
+    def _start_between(
+        self, pose: F64, expected: Expected, cloud: PreprocessedScan
+    ) -> tuple[F64, Basin]:
+        """Where and how coarsely the alignment starts, when the network agrees with the motion.
+
+        The coarse pull is for guesses that may be a voxel off; the mean of a pose of the network
+        and the expected one, weighed by what each is worth, often is not.
+
+        Args:
+            pose: (4, 4) of the network.
+            expected: by the motion so far.
+            cloud: the preprocessed scan.
+        """
+        best = expected.fused(pose, *self._network_spread)
+        reach_m = float(np.median(np.linalg.norm(cloud.icp_points, axis=1)))
+        sure = _FAR * (best.shift_m + reach_m * best.turn_rad) < self._world.map.fine.size_m
+        return best.pose, 'fine' if sure else 'middle'
+
     def _by_network(
         self,
         cloud: PreprocessedScan,
         proposal: Proposal | None,
         trust: F32,
         check: Callable[[Fit], Candidate],
+        expected: Expected | None = None,
     ) -> Located | Reason:
         """The network's pose, refined in the map; or why it is not taken."""
         if proposal is None:
@@ -240,9 +269,11 @@ class Locator:
         if proposal.confidence < self._config.gate.enter:
             return Reason.LOW_CONFIDENCE
         start, settings = proposal.T_odom_sensor, self._config.refine
-        fit = align_scan(
-            cloud, start, self._world.map, settings, trust, 'middle', self._prior_near(start)
-        )
+        prior = self._prior_near(start)
+        basin: Basin = 'middle'
+        if prior is not None and expected is not None:
+            start, basin = self._start_between(start, expected, cloud)
+        fit = align_scan(cloud, start, self._world.map, settings, trust, basin, prior)
         candidate = check(fit)
         if candidate.verdict.fault is not None:
             return candidate.verdict.fault
@@ -267,12 +298,14 @@ class Locator:
         trust: F32,
         check: Callable[[Fit], Candidate],
         reason: Reason,
+        wide: bool = True,
     ) -> Located | Reason:
         """Fallback from the guesses; while in doubt, other ways and turned guesses. Best wins."""
         section = self._config.fallback
         best = self._followed(cloud, guesses[0], trust, check)
         if best is None or not self._without_doubt(best.verdict.confidence, best.evidence):
-            for way in self._other_ways(cloud, guesses, trust, best):
+            ways = self._other_ways(cloud, guesses, trust, best)
+            for way in ways if wide else islice(ways, 1):
                 best = better(best, tried(way, check))
                 if best is not None and best.verdict.confidence >= section.good:
                     break

@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, cast
 
 from hybridreg_ros.core.errors import ConfigError, RegistrationError, WeightsError
-from hybridreg_ros.model.budget import Budget
+from hybridreg_ros.model.budget import Budget  # noqa: TC001 (a field of a NamedTuple)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -18,15 +18,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.odometry.keyframes import Keyframe
-
-    pass
-
-
-from typing import TYPE_CHECKING, Protocol
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
 
 
 _log = logging.getLogger(__name__)
@@ -83,34 +74,48 @@ class Proposal:
     keyframe: Keyframe
 
 
+class Encoded(NamedTuple):
+    """A cloud encoded at a budget; only those of one budget can be matched."""
+
+    budget: Budget
+    encoding: Any
+
+
 class LearnedBranch:
     """Matches scans with keyframes; each cloud is encoded once, and only when it is needed.
 
     Args:
-        registrar: the network; one with a method `sequence` begins one at the
-            default budget, to keep one voxel.
+        registrar: the network; of one with a method `sequence`, one is begun for each budget, to
+            keep one voxel.
         memory: keyframes whose encoding is kept at most, those that were asked for last. Those
             of our recordings take 2 to 5 MB.
     """
 
     def __init__(self, registrar: Registrar, memory: int) -> None:
-        begin = getattr(registrar, 'sequence', None)
-        self._registrar: Registrar = registrar if begin is None else begin(Budget())
+        self._registrar = registrar
+        self._sequences: dict[Budget, Registrar] = {}
         self._memory = memory
-        self._keyframes: dict[int, Any] = {}
+        self._keyframes: dict[int, Encoded] = {}
 
-    def encode(self, points: NDArray[np.float32]) -> Any:
-        """Encoding of a scan (M, 3), sensor frame, metres; None when it cannot be encoded."""
+    def _of(self, budget: Budget) -> Registrar:
+        """The registrar whose voxel keeps to a budget."""
+        if budget not in self._sequences:
+            begin = getattr(self._registrar, 'sequence', None)
+            self._sequences[budget] = self._registrar if begin is None else begin(budget)
+        return self._sequences[budget]
+
+    def encode(self, points: NDArray[np.float32], budget: Budget) -> Encoded | None:
+        """Encode a scan (M, 3), sensor frame, metres; None when it cannot be encoded."""
         try:
-            return self._registrar.encode(points)
+            return Encoded(budget, self._of(budget).encode(points))
         except RegistrationError as error:
             _log.debug('scan not encoded: %s', error)
             return None
 
-    def adopt(self, keyframe: Keyframe, encoding: Any) -> None:
+    def adopt(self, keyframe: Keyframe, encoded: Encoded | None) -> None:
         """A scan has become this keyframe: keep its encoding unless it is None."""
-        if encoding is not None:
-            self._keep(keyframe, encoding)
+        if encoded is not None:
+            self._keep(keyframe, encoded)
 
     def forget(self, keyframe: Keyframe) -> None:
         """A keyframe has changed: encode it anew when it is matched next."""
@@ -121,27 +126,28 @@ class LearnedBranch:
         numbers = {keyframe.number for keyframe in keyframes}
         self._keyframes = {n: e for n, e in self._keyframes.items() if n in numbers}
 
-    def _keep(self, keyframe: Keyframe, encoding: Any) -> None:
+    def _keep(self, keyframe: Keyframe, encoded: Encoded) -> None:
         """Keep an encoding as the one that was asked for last."""
-        self._keyframes[keyframe.number] = encoding
+        self._keyframes[keyframe.number] = encoded
         if len(self._keyframes) > self._memory:
             del self._keyframes[next(iter(self._keyframes))]
 
-    def propose(self, encoding: Any, keyframe: Keyframe | None) -> Proposal | None:
+    def propose(self, scan: Encoded | None, keyframe: Keyframe | None) -> Proposal | None:
         """Pose of a scan through a keyframe, or None when there is no answer.
 
         Args:
-            encoding: of the scan, by `encode`.
-            keyframe: what it is matched with; encoded if it is not yet.
+            scan: by `encode`.
+            keyframe: what it is matched with; encoded if it is not yet at this budget.
         """
-        if keyframe is None or encoding is None:
+        if keyframe is None or scan is None:
             return None
+        registrar = self._of(scan.budget)
         try:
             known = self._keyframes.pop(keyframe.number, None)
-            if known is None:
-                known = self._registrar.encode(keyframe.points)
+            if known is None or known.budget != scan.budget:
+                known = Encoded(scan.budget, registrar.encode(keyframe.points))
             self._keep(keyframe, known)
-            match: Match = self._registrar.match(encoding, known)
+            match: Match = registrar.match(scan.encoding, known.encoding)
         except RegistrationError as error:
             _log.debug('no match with keyframe %d: %s', keyframe.number, error)
             return None

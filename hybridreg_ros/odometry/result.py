@@ -76,6 +76,7 @@ class OdometryResult:
         accepted: False when the scan was refused (bad stamp, frame change): pose repeats.
         timings_s: seconds per stage (preprocess, encode, match, refine, dynamics, map, total).
         deskewed: True when the points were deskewed by constant velocity.
+        load: 0 = all of a step was done; more = less of it, since scans come too fast.
     """
 
     scan: Scan
@@ -92,6 +93,7 @@ class OdometryResult:
     accepted: bool = True
     timings_s: Mapping[str, float] = field(default_factory=dict)
     deskewed: bool = False
+    load: int = 0
 
     @property
     def stamp(self) -> int:

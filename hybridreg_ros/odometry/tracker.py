@@ -7,7 +7,7 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -27,10 +27,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hybridreg_ros.model.budget import Budget
     from hybridreg_ros.odometry.config import OdometryConfig
     from hybridreg_ros.odometry.keyframes import Keyframe
+    from hybridreg_ros.odometry.load import Effort
     from hybridreg_ros.odometry.motion.prediction import Motion
-    from hybridreg_ros.odometry.network_branch import Registrar
+    from hybridreg_ros.odometry.network_branch import Encoded, Registrar
     from hybridreg_ros.odometry.preprocess import SensorModel
     from hybridreg_ros.odometry.preprocessed import PreprocessedScan
     from hybridreg_ros.odometry.result import Watch
@@ -79,44 +81,53 @@ class Tracker:
         self._lost_scans = 0
         self._opening: tuple[PreprocessedScan, int] | None = None
         self._continuity = ScanContinuity()
+        self._since_update = 0
 
-    def encode(self, cloud: PreprocessedScan) -> Any:
-        """Encoding of a cloud by the network; None without one. Needs nothing of earlier scans."""
+    def encode(self, cloud: PreprocessedScan, budget: Budget) -> Encoded | None:
+        """A cloud encoded by the network; None without one. Needs nothing of earlier scans."""
         if self._learned is None or len(cloud.icp_rows) < self._config.input.min_points:
             return None
-        return self._learned.encode(cloud.map_points)
+        return self._learned.encode(cloud.map_points, budget)
 
-    def step(self, cloud: PreprocessedScan, encoding: Any, stamp: int, watch: Watch) -> Estimate:
+    def step(
+        self,
+        cloud: PreprocessedScan,
+        encoded: Encoded | None,
+        stamp: int,
+        effort: Effort,
+        watch: Watch,
+    ) -> Estimate:
         """Locate a cloud and update the pose chain; map and keyframes are left to the estimate.
 
         Args:
             cloud: the preprocessed scan.
-            encoding: of it, by `encode`.
+            encoded: it, by `encode`.
             stamp: its stamp, ns.
+            effort: how much is done.
             watch: books the time per stage.
         """
         self._locator.judged = []
         if len(cloud.icp_rows) < self._config.input.min_points:
             return self._bad(cloud, stamp, Reason.TOO_FEW_POINTS)
         if len(self._world.map) == 0:
-            return self._begin(cloud, encoding, stamp, Reason.FIRST_SCAN)
+            return self._begin(cloud, encoded, stamp, Reason.FIRST_SCAN)
         expected = self._continuity.expect(self._motion.expect(stamp), cloud, stamp)
         trust = self._world.dynamics.trust(cloud.icp_points, predicted := expected.pose)
         if self.lost:
-            found = self._locator.relocate(cloud, encoding, self._motion.pose)
+            found = self._locator.relocate(cloud, encoded, self._motion.pose)
         else:
             last = self._motion.pose
-            found = self._locator.locate(cloud, encoding, expected, last, trust, watch)
+            found = self._locator.locate(cloud, encoded, expected, last, trust, watch, effort.wide)
         if isinstance(found, Located) and self._opens(cloud, stamp):
-            cloud, predicted, found = self._opened(cloud, encoding, stamp, found, watch)
+            cloud, predicted, found = self._opened(cloud, encoded, stamp, found, watch)
         self._opening = None
         watch.lap('refine')
         if isinstance(found, Located) and self._is_last_straw(found):
             found = found.reason
         if isinstance(found, Located):
-            return self._accept(cloud, encoding, stamp, predicted, found)
+            return self._accept(cloud, encoded, stamp, predicted, found, effort)
         if self.lost and self._give_up():
-            return self._begin(cloud, encoding, stamp, Reason.RECOVERED)
+            return self._begin(cloud, encoded, stamp, Reason.RECOVERED)
         return self._bad(cloud, stamp, found)
 
     @property
@@ -135,7 +146,12 @@ class Tracker:
         return self._opening[1] == self._motion.stamp < stamp
 
     def _opened(
-        self, cloud: PreprocessedScan, encoding: Any, stamp: int, found: Located, watch: Watch
+        self,
+        cloud: PreprocessedScan,
+        encoded: Encoded | None,
+        stamp: int,
+        found: Located,
+        watch: Watch,
     ) -> tuple[PreprocessedScan, F64, Located]:
         """Make the map of the first scan again, deskewed by the velocity that the second shows.
 
@@ -156,7 +172,7 @@ class Tracker:
             self._restart(first.moved_by(twist), begun, since)
             ones = np.ones(len(cloud.icp_rows), np.float32)
             expected = replace(self._motion.expect(stamp), pose=predicted)
-            again = self._locator.locate(cloud, encoding, expected, begun, ones, watch)
+            again = self._locator.locate(cloud, encoded, expected, begun, ones, watch)
             if isinstance(again, Reason):  # the velocity was wrong, so as it was before
                 self._restart(first, start, since)
                 return still, start, found
@@ -171,7 +187,13 @@ class Tracker:
             self._learned.forget(keyframe)
 
     def _accept(
-        self, cloud: PreprocessedScan, encoding: Any, stamp: int, predicted: F64, found: Located
+        self,
+        cloud: PreprocessedScan,
+        encoded: Encoded | None,
+        stamp: int,
+        predicted: F64,
+        found: Located,
+        effort: Effort,
     ) -> Estimate:
         """Write a pose to the chain; what its scan tells the world is left to the estimate."""
         pose, was_lost = found.fit.T_odom_sensor, self.lost
@@ -200,23 +222,38 @@ class Tracker:
         reason = Reason.RECOVERED if was_lost else found.reason
         told = self._locator.confidence_of(found)
         estimate = self._estimate(pose, reason, told.confidence, nothing(cloud), False)
-        update = partial(self._update, cloud, encoding, stamp, found)
+        self._since_update += 1
+        update = partial(self._update, cloud, encoded, stamp, found)
+        if self._since_update < effort.update_every and not self._world.is_due(found, stamp):
+            update = partial(self._pass_over, cloud, found)
         return replace(estimate, reported=reported, reported_confidence=told, update=update)
 
     def _update(
-        self, cloud: PreprocessedScan, encoding: Any, stamp: int, found: Located, watch: Watch
+        self,
+        cloud: PreprocessedScan,
+        encoded: Encoded | None,
+        stamp: int,
+        found: Located,
+        watch: Watch,
     ) -> Update:
         """Say what moves in a located scan, and write what stands still to the world."""
+        self._since_update = 0
         dynamic, image = self._world.moving(cloud, found)
         watch.lap('dynamics')
         keyframe = self._world.add(cloud, stamp, found, dynamic, image)
         if keyframe is not None:
-            self._adopt(keyframe, encoding)
+            self._adopt(keyframe, encoded)
         if self._learned is not None:
             self._learned.keep_only(self._world.keyframes.recent)
             give_back()  # what the network took for this scan
         watch.lap('map')
         return Update(dynamic, keyframe is not None, self._keyframe_id)
+
+    def _pass_over(self, cloud: PreprocessedScan, found: Located, watch: Watch) -> Update:
+        """Say what moves by what is remembered of its places; the world learns nothing."""
+        dynamic = self._world.dynamics.recalled(cloud.points, found.fit.T_odom_sensor)
+        watch.lap('dynamics')
+        return Update(dynamic, False, self._keyframe_id)
 
     @property
     def _keyframe_id(self) -> int:
@@ -224,7 +261,7 @@ class Tracker:
         return 0 if last is None else last.number
 
     def _begin(
-        self, cloud: PreprocessedScan, encoding: Any, stamp: int, reason: Reason
+        self, cloud: PreprocessedScan, encoded: Encoded | None, stamp: int, reason: Reason
     ) -> Estimate:
         """Start a map at the last pose: the first scan, or a new start after a loss.
 
@@ -237,7 +274,7 @@ class Tracker:
         self.source = Source.KISS_ICP if self._learned is None else Source.HYBRIDREG
         first = reason is Reason.FIRST_SCAN
         self.covariance = covariance.first() if first else covariance.lost()
-        self._adopt(self._world.begin(cloud, pose, stamp), encoding)
+        self._adopt(self._world.begin(cloud, pose, stamp), encoded)
         self._opening = None if cloud.times is None else (cloud, stamp)
         return self._estimate(pose, reason, float(first), nothing(cloud), is_keyframe=True)
 
@@ -266,10 +303,10 @@ class Tracker:
         self._motion.hold(pose, stamp)
         self._continuity.end()
 
-    def _adopt(self, keyframe: Keyframe, encoding: Any) -> None:
+    def _adopt(self, keyframe: Keyframe, encoded: Encoded | None) -> None:
         """Let the network match against a keyframe that a scan has become."""
         if self._learned is not None:
-            self._learned.adopt(keyframe, encoding)
+            self._learned.adopt(keyframe, encoded)
 
     def _give_up(self) -> bool:
         """Whether the old map is given up; then it is forgotten, with all that belongs to it."""

@@ -100,7 +100,7 @@ class World:
         """
         pose, still, keyframe = found.fit.T_odom_sensor, dynamic < _STATIC_BELOW, None
         enters = found.adds_to_map(self._config.gate, self._sensor.voxel_size_m)
-        if enters and self.keyframes.wanted(pose, stamp, found.evidence.seen):
+        if self.is_due(found, stamp):
             keyframe = self.keyframes.add(pose, stamp, cloud.map_points)
         if not found.tentative:
             self._remember(cloud, pose, stamp, image, still)
@@ -109,6 +109,12 @@ class World:
         drawn = image if still.all() else self.sightings.draw(cloud, pose, still)
         self.sightings.keep(drawn, keyframe is not None)
         return keyframe
+
+    def is_due(self, found: Located, stamp: int) -> bool:
+        """Whether a located scan must become a keyframe."""
+        pose, seen = found.fit.T_odom_sensor, found.evidence.seen
+        enters = found.adds_to_map(self._config.gate, self._sensor.voxel_size_m)
+        return enters and self.keyframes.wanted(pose, stamp, seen)
 
     def forget(self) -> None:
         """Forget all but the keyframes."""

@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Bags through the front end, offline or live, and the scores and report of it."""
+"""Bags run through the front end, offline or live; scores and report."""

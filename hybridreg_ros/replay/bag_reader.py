@@ -7,7 +7,6 @@ from __future__ import annotations
 import heapq
 import logging
 import struct
-from collections import defaultdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -277,20 +276,6 @@ def _matrix(message: Any) -> Any:
     if not np.isfinite(place).all():
         raise FileFormatError(f'its place is {place.tolist()}')
     return se3.transform(from_quaternion(q.x, q.y, q.z, q.w), place)
-
-
-def group_by_stamp(
-    bag: Bag, topics: Collection[str]
-) -> Iterator[tuple[int, dict[str, BagMessage]]]:
-    """Messages of several topics that share a header stamp, in stamp order."""
-    groups: dict[int, dict[str, BagMessage]] = defaultdict(dict)
-    for message in bag.messages(topics):
-        groups[message.stamp][message.topic] = message
-        while len(groups) > REORDER_WINDOW:
-            first = min(groups)
-            yield first, groups.pop(first)
-    for stamp in sorted(groups):
-        yield stamp, groups[stamp]
 
 
 def open_bag(path: str | Path) -> Bag:

@@ -33,7 +33,9 @@ class StopRequest:
         if self.requested:
             raise KeyboardInterrupt
         self.requested = True
-        logger.warning('stopping after this frame; outputs are kept (again: stop at once)')
+        logger.warning(
+            'stopping after this frame; results are kept (press Ctrl-C again to stop at once)'
+        )
 
     def __enter__(self) -> StopRequest:
         if threading.current_thread() is threading.main_thread():

@@ -50,12 +50,6 @@ def tum_row(stamp: int, pose: NDArray[np.float64]) -> str:
     return f'{sec}.{nanosec:09d} ' + ' '.join(f'{v:.17g}' for v in numbers)
 
 
-def write_tum(path: Path, trajectory: Trajectory) -> None:
-    """Write a TUM file that evo and the TUM tools read."""
-    rows = [tum_row(s, T) for s, T in zip(trajectory.stamps, trajectory.poses, strict=True)]
-    path.write_text('\n'.join(rows) + '\n' if rows else '', encoding='ascii')
-
-
 def text_of(path: Path) -> str:
     """Content of a text file.
 

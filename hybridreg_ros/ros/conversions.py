@@ -32,11 +32,6 @@ def to_time(stamp_ns: int) -> Time:
     return Time(sec=stamp_ns // NS_PER_S, nanosec=stamp_ns % NS_PER_S)
 
 
-def to_ns(stamp: Time) -> int:
-    """Nanoseconds of a stamp message."""
-    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
-
-
 def rotation(q: F64) -> F64:
     """Rotation (3, 3) of a quaternion (4,) x y z w of any length.
 

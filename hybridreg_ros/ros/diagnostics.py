@@ -72,6 +72,8 @@ def _about_clouds(state: Snapshot) -> list[tuple[bytes, str]]:
         severe = 'internal_error' in unasked or (unasked and not state.processed)
         text = f'clouds dropped: {_listing(state.recent_drops)}; last: {state.last_drop}'
         found.append((ERROR if severe else WARN, text))
+    if state.load:
+        found.append((WARN, f'behind its sensor: less is done per cloud (load {state.load})'))
     if state.note:
         found.append((WARN, state.note))
     return found
@@ -105,6 +107,7 @@ def status(state: Snapshot, setting: Setting) -> DiagnosticStatus:
         'source': 'none' if state.source is None else state.source.value,
         'reason': state.reason.value,
         'confidence': f'{state.confidence:.3f}',
+        'load': str(state.load),
         'weights': setting.weights,
         'input_rate_hz': f'{state.input_rate_hz:.2f}',
         'received': str(state.received),

@@ -59,6 +59,7 @@ class Snapshot:
         reason: why that branch.
         confidence: of the last result.
         deskewed: whether the last scan was deskewed.
+        load: of the last result; above 0 less is done per cloud.
         last_switch: one line about the last change of source.
         note: remark of the decoder about per-point times, '' for none.
         times_from: field and unit of the per-point times in use, or why there are none.
@@ -82,6 +83,7 @@ class Snapshot:
     reason: Reason
     confidence: float
     deskewed: bool
+    load: int
     last_switch: str
     note: str
     times_from: str
@@ -189,6 +191,7 @@ class Monitor:
                 reason=Reason.OK if result is None else result.reason,
                 confidence=0.0 if result is None else result.confidence,
                 deskewed=result is not None and result.deskewed,
+                load=0 if result is None else result.load,
                 last_switch=self._switch,
                 note=self._note,
                 times_from='none yet' if result is None else result.scan.times_from,

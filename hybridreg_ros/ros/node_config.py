@@ -25,7 +25,7 @@ class NodeConfig:
         ConfigError: a value has the wrong type or lies outside its range.
     """
 
-    weights: str = option('', "weights file of the network; '' = the packaged ones")
+    weights: str = option('', "weights file of the network; '' = the packaged one")
     odom_frame: str = option('odom', 'fixed frame of the odometry')
     base_frame: str = option('', "frame whose pose is published; '' = frame of the clouds")
     extrinsic_source: str = option(
@@ -35,24 +35,35 @@ class NodeConfig:
     )
     extrinsic: tuple[float, ...] = option(
         (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
-        'pose of the sensor in base_frame, for extrinsic_source parameter: x y z (m) qx qy qz qw',
+        'pose of the sensor in base_frame if extrinsic_source is parameter: x y z (m) qx qy qz qw',
     )
-    publish_tf: bool = option(True, 'publish odom_frame to base_frame on /tf')
-    invert_tf: bool = option(False, 'publish base_frame to odom_frame instead (odom as a leaf)')
+    publish_tf: bool = option(True, 'publish the transform from odom_frame to base_frame on /tf')
+    invert_tf: bool = option(
+        False, 'publish it from base_frame to odom_frame instead (odom becomes a leaf)'
+    )
     publish_keyframe: bool = option(False, 'publish the static points of new keyframes')
     publish_path: bool = option(False, 'publish the poses so far as nav_msgs/Path')
     path_length: int = option(
-        2000, 'poses kept in the path; the oldest go first', low=2, high=100_000
+        2000,
+        'maximum number of poses in the path; the oldest are removed first',
+        low=2,
+        high=100_000,
     )
     input_qos: str = option(
         'sensor_data',
-        'QoS of the cloud subscription; auto = reliable when every publisher is reliable',
+        'QoS of the cloud subscription; auto = reliable if every publisher is reliable',
         choices=('sensor_data', 'reliable', 'auto'),
     )
-    input_qos_depth: int = option(30, 'clouds that DDS keeps for the node', low=1, high=1000)
-    queue_depth: int = option(2, 'clouds that wait while one is processed', low=1, high=1000)
+    input_qos_depth: int = option(
+        30, 'number of clouds that DDS queues for the node', low=1, high=1000
+    )
+    queue_depth: int = option(
+        2, 'number of clouds that may wait while one is processed', low=1, high=1000
+    )
     drop_policy: str = option(
-        'oldest', 'which waiting cloud goes when the queue is full', choices=('oldest', 'newest')
+        'oldest',
+        'which waiting cloud is dropped when the queue is full',
+        choices=('oldest', 'newest'),
     )
     time_unit: str = option(
         'auto',
@@ -63,16 +74,16 @@ class NodeConfig:
         '', "field with the per-point times; '' = the first usable one of the usual names"
     )
     scan_period_s: float = option(
-        0.1, 'seconds that a normalised time of 1 stands for', low=0.001, high=10.0
+        0.1, 'duration that a normalised time of 1 stands for, seconds', low=0.001, high=10.0
     )
     max_cloud_points: int = option(
         4_000_000, 'larger clouds are dropped and counted', low=1000, high=100_000_000
     )
     input_timeout_s: float = option(
-        2.0, 'seconds without a cloud until diagnostics warn', low=0.1, high=3600.0
+        2.0, 'time without a cloud after which the diagnostics warn, seconds', low=0.1, high=3600.0
     )
     diagnostics_period_s: float = option(
-        1.0, 'seconds between two diagnostics messages', low=0.05, high=60.0
+        1.0, 'time between two diagnostics messages, seconds', low=0.05, high=60.0
     )
 
     def __post_init__(self) -> None:
@@ -93,7 +104,7 @@ class NodeConfig:
             raise ConfigError("odom_frame: expected a frame name, found ''")
         if self.odom_frame == self.base_frame:
             raise ConfigError(
-                f'base_frame: expected another frame than odom_frame {self.odom_frame!r}'
+                f'base_frame: expected a frame other than odom_frame {self.odom_frame!r}'
             )
 
 

@@ -57,7 +57,8 @@ def subscription_events(
         if hint is not None and policy not in warned:
             warned.add(policy)
             node.get_logger().warning(
-                f'a publisher of {topic} offers another {policy}: nothing comes from it; {hint}'
+                f'a publisher of {topic} offers an incompatible {policy}: '
+                f'nothing arrives from it; {hint}'
             )
 
     def lost(event: Any) -> None:
@@ -75,7 +76,8 @@ def publisher_events(node: Node, topic: str, hint: str) -> PublisherEventCallbac
         if policy not in warned:
             warned.add(policy)
             node.get_logger().warning(
-                f'a subscriber of {topic} asks for another {policy}: it receives nothing; {hint}'
+                f'a subscriber of {topic} requests an incompatible {policy}: '
+                f'it receives nothing; {hint}'
             )
 
     return PublisherEventCallbacks(incompatible_qos=incompatible)

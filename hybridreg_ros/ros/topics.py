@@ -88,7 +88,7 @@ DIAGNOSTICS = Topic(
 FRAME = Topic(
     '~/frame',
     'diagnostic_msgs/msg/DiagnosticArray',
-    'what every frame reports of itself: `source`, `reason`, `confidence`, `keyframe` and the '
+    'report on every frame: `source`, `reason`, `confidence`, `keyframe` and the '
     'milliseconds of each stage; its stamp is that of the cloud',
 )
 KEYFRAME = Topic(

@@ -63,6 +63,7 @@ class Worker:
         self._times_from = ''
         self._queue: FrameQueue[Arrival] = FrameQueue(depth=1)
         self._busy = threading.Lock()
+        self._behind = False
         self._thread = self._new_thread()
         self._located: queue.SimpleQueue[tuple[Any, Rest] | None] = queue.SimpleQueue()
         self._completer = self._new_completer()
@@ -90,6 +91,7 @@ class Worker:
         """Queue a cloud; never blocks."""
         gone = self._queue.put(arrival)
         if gone:
+            self._behind = True
             self._monitor.dropped(Drop.QUEUE_FULL, 'clouds come faster than they are processed')
 
     @property
@@ -137,7 +139,8 @@ class Worker:
         try:
             scan = self._front_end.seen(to_scan(arrival.message, *self._times))
             self._tell_times(scan)
-            result, rest = self._front_end.locate(scan)
+            behind, self._behind = self._behind, False
+            result, rest = self._front_end.locate(scan, behind)
         except HybridRegError as error:
             self._monitor.dropped(Drop.BAD_CLOUD, str(error))
             self._warn(Drop.BAD_CLOUD.value, str(error))

@@ -173,5 +173,7 @@ class Generator:
     def _keep(self) -> None:
         while not self._stopped.wait(1.0):
             if self._process.exitcode:
-                _LOG.warning('the generator died (%d): started again', self._process.exitcode)
+                _LOG.warning(
+                    'the generator exited with code %d and was restarted', self._process.exitcode
+                )
                 self._start()

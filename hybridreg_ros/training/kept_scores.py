@@ -47,7 +47,7 @@ class KeptScores:
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise FileFormatError(f'{path} holds no scores of pairs: {error}') from None
         if there != method:
-            raise ConfigError(f'{path} holds scores of {there}, asked for is {method}')
+            raise ConfigError(f'{path} holds scores of {there}, but {method} was requested')
         self._scores = {score.name: score for score in scores}
 
     def add(self, score: PairScore) -> None:

@@ -71,26 +71,6 @@ class PairLabels:
     anchors: I64
 
 
-def static_points(fine: F32, raw: F32, raw_static: Bools, neighbours: int = 3) -> Bools:
-    """Which fine points are static: the majority of the nearest raw points decides.
-
-    Args:
-        fine: (F, 3).
-        raw: (N, 3), the same frame and unit.
-        raw_static: (N,).
-        neighbours: raw points asked per fine point (odd).
-
-    Returns:
-        (F,) bool.
-    """
-    if raw_static.all():
-        return np.ones(len(fine), dtype=bool)
-    k = min(neighbours, len(raw))
-    _, index = cKDTree(raw, balanced_tree=False, compact_nodes=False).query(fine, k=k)
-    share: Bools = raw_static[np.reshape(index, (len(fine), k))].mean(axis=1) > 0.5
-    return share
-
-
 def pair_labels(
     source: Patches,
     target: Patches,

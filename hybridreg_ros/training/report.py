@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -101,23 +100,6 @@ class EvalReport:
         if len(splits) > 1:
             rows.append(summary('all', self.scores))
         return rows
-
-    def to_json(self) -> str:
-        """Everything, strict JSON (NaN becomes null)."""
-        plain = {
-            'method': self.method,
-            'about': self.about,
-            'rows': self.rows(),
-            'scores': [dataclasses.asdict(s) for s in self.scores],
-        }
-        return json.dumps(_strict(plain), indent=1)
-
-    @classmethod
-    def from_json(cls, text: str) -> EvalReport:
-        """Inverse of `to_json`."""
-        plain = json.loads(text)
-        scores = tuple(score_from_plain(row) for row in plain['scores'])
-        return cls(plain['method'], scores, plain['about'])
 
 
 def score_to_plain(score: PairScore) -> dict[str, Any]:

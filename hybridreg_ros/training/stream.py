@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hybridreg_ros.core.errors import FileFormatError, HybridRegError
-from hybridreg_ros.data.hybridmatch.room_pairs import make_samples
-from hybridreg_ros.data.hybridmatch.shards import decode_pair, encode_pair, read_offsets
+from hybridreg_ros.data.hybridmatch.shards import decode_pair, read_offsets
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -90,21 +89,6 @@ def uses_in(folder: Path) -> Iterator[Use]:
             if line.endswith('\n'):
                 number, stem, row = line.split(',')
                 yield Use(int(number), stem, int(row))
-
-
-def pair_again(use: Use) -> PointPair:
-    """The pair of a use, made from its seed once more, as a reader got it.
-
-    Raises:
-        HybridRegError: the generator of this version makes other pairs of that seed.
-    """
-    shard = Shard.of(use.stem)
-    samples = make_samples(shard.kind, shard.seed)
-    if use.row >= len(samples):
-        raise HybridRegError(
-            f'{use.stem}: row {use.row} of {len(samples)} pairs; another generator made it'
-        )
-    return decode_pair(encode_pair(samples[use.row].pair))
 
 
 @dataclass(frozen=True)

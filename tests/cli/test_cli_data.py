@@ -60,7 +60,7 @@ def test_all_splits_are_made_by_one_command(
     capsys.readouterr()
     assert 'leave --seed out' in last_error(capsys, [*arguments, '--seed', '4'])
     line = last_error(capsys, ['generate', 'room-match-rigid', '--out', str(tmp_path / 'x')])
-    assert 'say it with --pairs' in line
+    assert 'no default number of pairs: give --pairs' in line
 
 
 def test_an_evaluation_goes_on_where_it_was(

@@ -339,7 +339,7 @@ def test_bad_settings_give_one_line(
         assert name in line, line
     assert '--weights has no effect' in failure(capsys, [*arguments, '--weights', 'w', *KISS])
     assert '--stride' in failure(capsys, [*arguments, '--stride', '0'])
-    assert '--stride does not go with --live' in failure(
+    assert '--stride cannot be combined with --live' in failure(
         capsys, [*arguments, '--live', '--stride', '2']
     )
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from tiny_bags import PERIOD, START, sensor_pose
+from tiny_bags import PERIOD, START, sensor_pose, write_tum
 
 from hybridreg_ros.cli.main import main
 from hybridreg_ros.core import se3
@@ -17,7 +17,6 @@ from hybridreg_ros.core.pointcloud2 import from_arrays
 from hybridreg_ros.core.quaternion import to_quaternion
 from hybridreg_ros.replay.bag_reader import trajectory_of
 from hybridreg_ros.replay.bag_writer import BagWriter
-from hybridreg_ros.replay.trajectory_io import write_tum
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -101,7 +101,7 @@ def test_kitti_poses_of_the_camera_are_moved_to_the_lidar(kitti):
     with pytest.raises(FileFormatError, match='expected a line Tr:'):
         KittiOdometry(kitti)
     (kitti / 'calib.txt').write_text('Tr: a b c\n')
-    with pytest.raises(FileFormatError, match='something else than numbers'):
+    with pytest.raises(FileFormatError, match='something other than numbers'):
         KittiOdometry(kitti)
 
 
@@ -284,7 +284,7 @@ def test_broken_official_pairs_are_refused(official, tmp_path):
     with pytest.raises(FileFormatError, match='cannot read'):
         OfficialHybridMatch(official)[0]
     (place / 'relative_transform.npy').write_bytes(b'no array')
-    with pytest.raises(FileFormatError, match='is no array of numbers'):
+    with pytest.raises(FileFormatError, match='is not an array of numbers'):
         OfficialHybridMatch(official)[0]
     (tmp_path / 'empty').mkdir()
     with pytest.raises(FileFormatError, match=r'expected folders with ref\.npy'):

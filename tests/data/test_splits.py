@@ -21,7 +21,7 @@ from test_shards import tiny
 from hybridreg_ros.core.errors import ConfigError, DependencyError, FileFormatError, HybridRegError
 from hybridreg_ros.data.hybridmatch import splits, splits_work
 from hybridreg_ros.data.hybridmatch.shards import open_split
-from hybridreg_ros.data.hybridmatch.splits import generate, generate_split, seed_range
+from hybridreg_ros.data.hybridmatch.splits import generate_split, seed_range
 from hybridreg_ros.data.hybridmatch.splits_summary import read_summary
 from hybridreg_ros.data.hybridmatch.take import Sample
 
@@ -134,11 +134,11 @@ def test_nothing_is_mixed(tmp_path: Path, scenes: list[int]) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         generate_split(SPLIT, 5, 0, begun, progress=stop)
-    with pytest.raises(ConfigError, match='was begun with'):
+    with pytest.raises(ConfigError, match='was started with'):
         generate_split(SPLIT, 5, 3, begun)
     (tmp_path / 'c').mkdir()
     (tmp_path / 'c' / 'mine.txt').write_text('keep')
-    with pytest.raises(ConfigError, match='neither empty nor a begun split'):
+    with pytest.raises(ConfigError, match='neither empty nor an unfinished split'):
         generate_split(SPLIT, 5, 0, tmp_path / 'c')
 
 
@@ -199,21 +199,6 @@ def test_a_split_that_cannot_be_filled_ends(
     monkeypatch.setattr(splits_work, 'make_samples', lambda *_, **__: [])
     with pytest.raises(HybridRegError, match='gave 0 of 3 pairs'):
         generate_split(SPLIT, 3, 0, tmp_path)
-
-
-def test_growing_folders_for_training(tmp_path: Path, scenes: list[int]) -> None:
-    total = generate(SPLIT, 10, 0, tmp_path)
-    assert total >= 10
-    assert len(open_split(tmp_path)) == total
-    made = len(scenes)
-    assert generate(SPLIT, 10, 0, tmp_path) == total
-    assert len(scenes) == made
-    more = generate(SPLIT, total + 1, 0, tmp_path)
-    assert more > total
-    assert len(open_split(tmp_path)) == more
-    (tmp_path / '0000000.hrs').unlink()
-    assert generate(SPLIT, more, 0, tmp_path) >= more
-    assert (tmp_path / '0000000.hrs').exists(), 'a gap is filled'
 
 
 @pytest.mark.slow

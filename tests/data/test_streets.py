@@ -10,7 +10,7 @@ import pytest
 from hybridreg_ros.core.errors import ConfigError
 from hybridreg_ros.core.se3 import apply, is_rigid
 from hybridreg_ros.data.hybridmatch.cell import Cell
-from hybridreg_ros.data.hybridmatch.street_pairs import _with_some_moving, street_cell, street_pair
+from hybridreg_ros.data.hybridmatch.street_pairs import _with_some_moving, street_cell
 from hybridreg_ros.data.meshes.raycast import Caster
 from hybridreg_ros.data.meshes.scene import Standing
 from hybridreg_ros.data.overlap import near_cells
@@ -147,11 +147,10 @@ def test_pairs_suit_their_cell_and_static_points_meet():
 @pytest.mark.slow
 def test_a_frozen_pair_is_all_static_and_repeats():
     cell = Cell((0.2, 0.99), frozen=True)
-    pair = next(p for s in range(4) if (p := street_pair(s, cell)) is not None)
+    pair = next(s.pair for seed in range(4) for s in street_cell(seed, cell, 1))
     assert pair.dynamic_share == 0.0
     assert not pair.source_label.any()
     assert not pair.target_instance.any()
-    again = street_pair(pair.seed, cell)
-    assert again is not None
+    again = street_cell(pair.seed, cell, 1)[0].pair
     assert np.array_equal(again.source, pair.source)
     assert np.array_equal(again.target, pair.target)

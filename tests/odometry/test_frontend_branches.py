@@ -14,6 +14,7 @@ from tiny_world import lidar_rays, pose, scans, walk
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import ConfigError
 from hybridreg_ros.core.scan import Scan
+from hybridreg_ros.model.budget import Budget
 from hybridreg_ros.odometry import tracker
 from hybridreg_ros.odometry.config import (
     FallbackConfig,
@@ -58,7 +59,7 @@ def test_only_encodings_that_were_asked_for_last_are_kept() -> None:
     frames = [Keyframe(k, k, np.eye(4), points) for k, points in enumerate(clouds)]
     encodes = []
     for number in (0, 1, 0, 2, 0, 1):  # 1 is asked for longest ago when 2 comes
-        before, scan = registrar.encodes, branch.encode(clouds[3])
+        before, scan = registrar.encodes, branch.encode(clouds[3], Budget())
         assert branch.propose(scan, frames[number]) is not None
         encodes.append(registrar.encodes - before)
     assert encodes == [2, 2, 1, 2, 1, 2]  # the scan itself, and the keyframe if it was not kept
@@ -69,7 +70,7 @@ def test_encodings_of_keyframes_that_are_not_asked_for_go() -> None:
     branch = LearnedBranch(registrar, 8)
     clouds = [scan.points for scan in scans(walk(4), RAYS)]
     frames = [Keyframe(k, k, np.eye(4), points) for k, points in enumerate(clouds)]
-    scan = branch.encode(clouds[3])
+    scan = branch.encode(clouds[3], Budget())
     for frame in frames[:3]:
         assert branch.propose(scan, frame) is not None
     assert registrar.encodes == 4

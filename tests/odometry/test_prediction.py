@@ -50,6 +50,18 @@ def test_spread_follows_the_errors_of_predictions_and_grows_while_coasting() -> 
     assert motion.expect(32 * FRAME).turn_rad == unknown.turn_rad
 
 
+def test_two_opinions_are_fused_by_what_each_is_worth() -> None:
+    turned = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.3]))
+    expected, other = Expected(pose(1.0, 0.0, 0.0) @ turned, 0.3, 0.1, 0.1), pose(2.0, 0.0, 0.0)
+    best = expected.fused(other, 0.1, 0.1)
+    assert best.pose[0, 3] == pytest.approx(1.9)  # variances of 9 to 1
+    assert se3.rotation_angle_deg(best.pose[:3, :3]) == pytest.approx(np.rad2deg(0.15))
+    assert best.shift_m == pytest.approx((0.3**-2 + 0.1**-2) ** -0.5)
+    assert best.turn_rad == pytest.approx(0.1 / 2**0.5)
+    vague = expected.fused(other, 1e6, 1e6)
+    np.testing.assert_allclose(vague.pose, expected.pose, atol=1e-9)
+
+
 def test_spread_of_the_turning_is_told_axis_by_axis() -> None:
     motion, T = Motion(stamp=0), np.eye(4)
     for k in range(1, 30):  # nods to and fro, hardly rolls

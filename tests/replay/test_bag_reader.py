@@ -24,7 +24,7 @@ from tiny_bags import (
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import BagError
 from hybridreg_ros.core.pointcloud2 import CloudData, from_arrays
-from hybridreg_ros.replay.bag_reader import ODOMETRY, POINT_CLOUD2, group_by_stamp, open_bag
+from hybridreg_ros.replay.bag_reader import ODOMETRY, POINT_CLOUD2, open_bag
 from hybridreg_ros.replay.bag_writer import BagWriter
 
 if TYPE_CHECKING:
@@ -74,13 +74,6 @@ def test_clouds_come_in_stamp_order(tmp_path: Path) -> None:
     with open_bag(tmp_path / 'a.mcap') as bag:
         stamps = [s.stamp for s in bag.scans()]
     assert stamps == STAMPS[:7]
-
-
-def test_group_by_stamp(room_bag: Path) -> None:
-    with open_bag(room_bag) as bag:
-        groups = list(group_by_stamp(bag, ['/points', '/ground_truth/odom']))
-    assert [stamp for stamp, _ in groups] == STAMPS
-    assert all(set(g) == {'/points', '/ground_truth/odom'} for _, g in groups)
 
 
 @pytest.mark.parametrize('share', [0.35, 0.6, 0.97])

@@ -23,9 +23,10 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from hybridreg_ros.core.pointcloud2 import from_arrays
+from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.ros import fastdds
-from hybridreg_ros.ros.conversions import to_ns, to_pointcloud2, to_time
+from hybridreg_ros.ros.conversions import to_pointcloud2, to_time
 from hybridreg_ros.ros.node_config import NodeConfig
 from hybridreg_ros.ros.playback.node_process import LOCALHOST, NodeProcess
 from hybridreg_ros.ros.qos import profile
@@ -33,12 +34,18 @@ from hybridreg_ros.ros.qos import profile
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from builtin_interfaces.msg import Time
     from rcl_interfaces.msg import SetParametersResult
 
 KISS = OdometryConfig(registrar='kiss-icp')
 QUICK = NodeConfig(diagnostics_period_s=0.1, queue_depth=50, input_qos_depth=50)
 STEP_NS = 100_000_000
 FRAME = 'lidar'
+
+
+def to_ns(stamp: Time) -> int:
+    """Nanoseconds of a stamp message."""
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
 
 
 def domain() -> int:

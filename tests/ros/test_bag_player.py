@@ -20,11 +20,10 @@ pytest.importorskip(
 
 from nav_msgs.msg import Odometry
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
-from ros_harness import QUICK, Probe, domain, running
+from ros_harness import QUICK, Probe, domain, running, to_ns
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 
-from hybridreg_ros.ros.conversions import to_ns
 from hybridreg_ros.ros.playback.bag_player import main
 from hybridreg_ros.ros.playback.node_process import LOCALHOST
 from hybridreg_ros.ros.qos import profile

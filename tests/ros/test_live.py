@@ -14,14 +14,14 @@ pytest.importorskip(
 )
 
 import numpy as np
-from ros_harness import KISS, domain, room
+from ros_harness import KISS, domain, room, to_ns
 
 from hybridreg_ros.core.errors import BagError, ConfigError, HybridRegError
 from hybridreg_ros.core.pointcloud2 import from_arrays, to_scan
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.replay.bag_reader import open_bag
 from hybridreg_ros.replay.bag_writer import BagWriter
-from hybridreg_ros.ros.conversions import from_pose, to_ns
+from hybridreg_ros.ros.conversions import from_pose
 from hybridreg_ros.ros.node_config import NodeConfig
 from hybridreg_ros.ros.playback.live import run_live
 
@@ -98,5 +98,5 @@ def test_wrong_rate_is_an_error(bag):
 
 def test_a_node_that_cannot_start_says_why(bag):
     settings = NodeConfig(weights='/nowhere/weights.safetensors')
-    with pytest.raises(HybridRegError, match=r'odometry_node ended with code 2: .*nowhere'):
+    with pytest.raises(HybridRegError, match=r'odometry_node exited with code 2: .*nowhere'):
         run_live(bag, None, node_config=settings, domain_id=domain())

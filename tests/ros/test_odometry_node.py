@@ -15,11 +15,10 @@ pytest.importorskip('rclpy', reason='rclpy is not installed (pip install hybridr
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from nav_msgs.msg import Path
-from ros_harness import FRAME, STEP_NS, cloud, room, running
+from ros_harness import FRAME, STEP_NS, cloud, room, running, to_ns
 from sensor_msgs.msg import PointCloud2
 
 from hybridreg_ros.core.pointcloud2 import field_values, to_scan
-from hybridreg_ros.ros.conversions import to_ns
 from hybridreg_ros.ros.qos import profile
 
 pytestmark = pytest.mark.ros

@@ -247,7 +247,7 @@ class TestDiagnostics:
         ({'extrinsic': (1.0,)}, 'expected 7 numbers'),
         ({'odom_frame': ''}, 'odom_frame: expected a frame name'),
         ({'base_frame': '/base'}, 'expected a frame without leading /'),
-        ({'base_frame': 'odom'}, 'expected another frame than odom_frame'),
+        ({'base_frame': 'odom'}, 'expected a frame other than odom_frame'),
         ({'queue_depth': 0}, 'queue_depth: expected >= 1, found 0'),
     ],
 )
@@ -259,10 +259,10 @@ def test_node_config_refuses(change, text):
 class _Stumbling(HybridOdometry):
     """The real front end with a bug in its second step."""
 
-    def locate(self, scan):
+    def locate(self, scan, behind=False):
         if scan.stamp == 2 * 10**8:
             raise ZeroDivisionError('a bug')
-        return super().locate(scan)
+        return super().locate(scan, behind)
 
 
 @pytest.mark.filterwarnings('ignore::pytest.PytestUnhandledThreadExceptionWarning')

@@ -66,7 +66,7 @@ def test_a_mismatch_is_one_clear_warning(probe, capfd):
     probe.node.destroy_publisher(publisher)
     lines = [n for n in ''.join(text).splitlines() if 'a publisher of' in n]
     assert len(lines) == 1, lines
-    assert '/points offers another RELIABILITY' in lines[0]
+    assert '/points offers an incompatible RELIABILITY' in lines[0]
     assert 'set input_qos to sensor_data or auto' in lines[0]
     subscription.close()
 

@@ -44,7 +44,7 @@ def start(*arguments: str, **environment: str) -> subprocess.CompletedProcess[st
         (('-p', 'drop_policy:=all'), 'drop_policy: expected one of oldest, newest'),
         (('-p', 'odom_frame:=/odom'), 'odom_frame: expected a frame without leading /'),
         (('-p', 'odom_frame:=""'), 'odom_frame: expected a frame name'),
-        (('-p', 'base_frame:=odom'), 'base_frame: expected another frame than odom_frame'),
+        (('-p', 'base_frame:=odom'), 'base_frame: expected a frame other than odom_frame'),
         (('-p', 'extrinsic:=[0.0, 1.0]'), 'extrinsic: expected 7 numbers'),
         (('-p', 'weights:=/nowhere/w.safetensors'), '/nowhere/w.safetensors'),
     ],

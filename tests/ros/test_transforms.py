@@ -14,12 +14,12 @@ pytest.importorskip('rclpy', reason='rclpy is not installed (pip install hybridr
 pytest.importorskip('tf2_msgs.msg', reason='no tf2_msgs (scripts/build_tf2_msgs.py builds it)')
 
 from geometry_msgs.msg import TransformStamped
-from ros_harness import FRAME, STEP_NS, cloud, room, running
+from ros_harness import FRAME, STEP_NS, cloud, room, running, to_ns
 from tf2_msgs.msg import TFMessage
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.quaternion import to_quaternion
-from hybridreg_ros.ros.conversions import from_pose, rotation, to_ns
+from hybridreg_ros.ros.conversions import from_pose, rotation
 from hybridreg_ros.ros.qos import profile
 
 pytestmark = pytest.mark.ros

@@ -123,12 +123,3 @@ def test_everything_moving():
     labels = labels_of(gone, target, T)
     assert (labels.overlap == 0).all()
     assert (labels.target_trusted == 0).all()
-
-
-def test_static_points_take_the_majority():
-    raw = np.array([[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [5, 0, 0]], np.float32)
-    static = np.array([True, False, False, True])
-    fine = np.array([[0.05, 0, 0], [5, 0, 0]], np.float32)
-    np.testing.assert_array_equal(lab.static_points(fine, raw, static), [False, False])
-    np.testing.assert_array_equal(lab.static_points(fine, raw, static, 1), [True, True])
-    assert lab.static_points(fine, raw, np.ones(4, bool)).all()

@@ -160,9 +160,3 @@ def _named(
 def make_pairs(split: str, seed: int, count: int = PAIRS_A_SCENE) -> list[PointPair]:
     """The pairs of `make_samples`."""
     return [sample.pair for sample in make_samples(split, seed, count=count)]
-
-
-def make_pair(split: str, seed: int) -> PointPair | None:
-    """The first pair of `make_pairs`; None when the scene of this seed cannot give one."""
-    pairs = make_pairs(split, seed, count=1)
-    return pairs[0] if pairs else None

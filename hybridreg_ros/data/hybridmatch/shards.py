@@ -3,7 +3,7 @@
 """Shards: many pairs in one small file, read one by one; a split is a folder of them.
 
 A shard is: 8 bytes magic, uint32 count, count + 1 uint64 offsets, then one zlib blob per pair.
-Points are stored as differences of whole steps of 1 mm (more for large scenes).
+Points are stored as differences between multiples of 1 mm (of a larger step in large scenes).
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def decode_pair(blob: bytes) -> PointPair:
         )  # fmt: skip
     except (zlib.error, struct.error, ValueError, KeyError) as error:
         raise FileFormatError(
-            f'a pair of a shard cannot be read ({error}); make the shard again'
+            f'a pair of a shard cannot be read ({error}); generate the shard again'
         ) from None
 
 

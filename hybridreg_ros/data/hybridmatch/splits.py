@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 from hybridreg_ros.core.errors import ConfigError, FileFormatError, HybridRegError
 from hybridreg_ros.data.hybridmatch.room_pairs import GENERATOR_VERSION, SPLITS, scene_of
-from hybridreg_ros.data.hybridmatch.shards import read_offsets, write_shard
 from hybridreg_ros.data.hybridmatch.splits_files import LAYOUTS, NOTES, Row, clean, write_text
 from hybridreg_ros.data.hybridmatch.splits_summary import SplitSummary, read_summary, summarise
 from hybridreg_ros.data.hybridmatch.splits_work import Block, results
@@ -36,7 +35,7 @@ SEED_RANGES = {
 SEEDS_PER_SPLIT = 200_000
 PAIRS = {'val': {'room': 100, 'street': 100}, 'test': {'room': 1000, 'street': 200}}
 """Pairs of each split of a part, per scene."""
-BLOCK, TRAIN_BLOCK = 4, 8
+BLOCK = 4
 _MOST_EMPTY = 480
 
 
@@ -155,7 +154,7 @@ def _reserve(folder: Path, job: _Job, pairs: int) -> SplitSummary | None:
         if there == job and known.pairs == pairs:
             return known
         raise ConfigError(
-            f'{folder} holds {known.pairs} pairs of {_said(there)}, asked for were {pairs} of '
+            f'{folder} holds {known.pairs} pairs of {_said(there)}, requested were {pairs} of '
             f'{_said(job)}: choose another folder'
         )
     note = folder / NOTES / 'job.json'
@@ -163,12 +162,14 @@ def _reserve(folder: Path, job: _Job, pairs: int) -> SplitSummary | None:
         there = _Job(**json.loads(note.read_text(encoding='utf-8')))
         if there != job:
             raise ConfigError(
-                f'{folder} was begun with {_said(there)}, asked for was {_said(job)}: '
+                f'{folder} was started with {_said(there)}, but {_said(job)} was requested: '
                 'choose another folder'
             )
         return None
     if any(p.name != NOTES for p in folder.iterdir()):
-        raise ConfigError(f'{folder} is neither empty nor a begun split: choose another folder')
+        raise ConfigError(
+            f'{folder} is neither empty nor an unfinished split: choose another folder'
+        )
     note.parent.mkdir(exist_ok=True)
     write_text(note, json.dumps(asdict(job)) + '\n')
     return None
@@ -214,46 +215,5 @@ def _noted(folder: Path, store: Layout, block: Block) -> list[Row] | None:
     except FileNotFoundError:
         return None
     except (FileFormatError, ValueError, TypeError) as error:
-        _LOG.warning('block %s is made again: %s', note.stem, error)
+        _LOG.warning('block %s is generated again: %s', note.stem, error)
         return None
-
-
-def generate(split: str, pairs: int, seed: int, out: str | Path, workers: int = 1) -> int:
-    """Make at least `pairs` pairs as shards that others may read while it runs; resumes.
-
-    For training: whole blocks are kept, and the folder can be enlarged later by another call.
-
-    Args:
-        split: a split name, or `room-train` / `street-train` for the training mixtures.
-        pairs: pairs to reach.
-        seed: first scene seed.
-        out: folder.
-        workers: processes.
-
-    Returns:
-        Number of pairs in the folder.
-    """
-    folder = Path(out)
-    folder.mkdir(parents=True, exist_ok=True)
-    total = 0
-
-    def missing() -> Iterator[Block]:
-        nonlocal total
-        for first in count(seed, TRAIN_BLOCK):
-            path = folder / f'{first:07d}.hrs'
-            if path.exists():
-                total += len(read_offsets(path)) - 1
-            else:
-                yield Block(split, first, TRAIN_BLOCK)
-
-    todo = missing()
-    first = next(todo)
-    if total >= pairs:
-        return total
-    for block, made in results(chain([first], todo), workers):
-        write_shard(folder / f'{block.first_seed:07d}.hrs', [f['pair.hrs'] for f in made.files])
-        total += len(made.files)
-        _LOG.info('%s: %d of %d pairs', split, total, pairs)
-        if total >= pairs:
-            break
-    return total

@@ -111,12 +111,6 @@ class _Crop:
         return view.rows(rows[thin])
 
 
-def street_pair(seed: int, cell: Cell) -> PointPair | None:
-    """One pair of a cell from a random street; None when this street cannot give one."""
-    samples = street_cell(seed, cell, 1)
-    return samples[0].pair if samples else None
-
-
 def street_cell(
     seed: int, cell: Cell, count: int = 4, *, still: bool = False, name: str = 'street'
 ) -> list[Sample]:

@@ -63,14 +63,6 @@ class Sample:
     still: F32 | None = None
 
 
-def take_pair(rng: np.random.Generator, world: World, cell: Cell) -> PointPair | None:
-    """Choose two views that suit a cell and take the pair; None when there is none."""
-    for views in choose_views(rng, world.view, cell, 1):
-        sample = take_sample(rng, world, cell, views)
-        return sample.pair if sample is not None else None
-    return None
-
-
 def take_sample(
     rng: np.random.Generator, world: World, cell: Cell, views: tuple[int, int],
     *, still: bool = False,

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Single clouds from and to files: .npy, .npz, .ply, .pcd and KITTI .bin."""
+"""Reading and writing of single clouds: .npy, .npz, .ply, .pcd and KITTI .bin."""
 
 from __future__ import annotations
 

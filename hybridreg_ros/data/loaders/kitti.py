@@ -83,6 +83,6 @@ def _calibration(folder: Path) -> F64:
                 return rigid(np.array([float(w) for w in rest.split()]), f'{path} {name}')
             except ValueError:
                 raise FileFormatError(
-                    f'{path}: {name} holds something else than numbers'
+                    f'{path}: {name} holds something other than numbers'
                 ) from None
     raise FileFormatError(f'{path}: expected a line Tr:, found none')

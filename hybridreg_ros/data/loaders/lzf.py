@@ -40,7 +40,7 @@ def decompress(packed: bytes, size: int) -> bytes:
             start = len(out) - ((control & 31) << 8) - packed[place] - 1
             place += 1
             if start < 0:
-                raise ValueError('LZF data point before their beginning')
+                raise ValueError('LZF data refer to bytes before their beginning')
             piece, length = bytes(out[start : start + length + 2]), length + 2
             while len(piece) < length:  # it reaches into itself
                 piece += piece

@@ -85,7 +85,7 @@ def _array(path: Path) -> NDArray[np.float64]:
     except OSError as error:
         raise FileFormatError(f'cannot read {path}: {error.strerror or error}') from None
     except (ValueError, EOFError) as error:
-        raise FileFormatError(f'{path} is no array of numbers: {error}') from None
+        raise FileFormatError(f'{path} is not an array of numbers: {error}') from None
 
 
 def _labels(path: Path, count: int) -> NDArray[np.uint8]:

@@ -168,17 +168,6 @@ def _cross(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float]
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-def capsule(start: ArrayLike, end: ArrayLike, radius: float, segments: int = 8) -> Mesh:
-    """Cylinder with rounded ends between two points (3,), metres."""
-    a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)
-    axis = (b - a) / max(float(np.linalg.norm(b - a)), 1e-9)
-    s = np.array([-0.95, -0.6, 0.0])
-    low = a + s[:, None] * radius * axis
-    high = b - s[::-1, None] * radius * axis
-    ball = radius * np.sqrt(1.0 - s**2)
-    return tube(np.concatenate([low, high]), np.concatenate([ball, ball[::-1]]), segments)
-
-
 def torus(major: float, minor: float, nu: int = 16, nv: int = 8) -> Mesh:
     """Torus about z at the origin, metres."""
     u = np.linspace(0.0, 2.0 * np.pi, nu, endpoint=False)[:, None]

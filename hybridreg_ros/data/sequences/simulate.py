@@ -121,7 +121,9 @@ def plan_walk(times: F64, seed: int, dynamic: str, size: tuple[int, int]) -> Wal
         if miss(best.share, wanted) == 0.0:
             break
     if best is None:
-        raise ConfigError(f'no free walk in the rooms of seed {seed}: choose another seed')
+        raise ConfigError(
+            f'no unobstructed path through the rooms of seed {seed}: choose another seed'
+        )
     _LOG.info('walk of seed %d: about %.0f %% moving points', seed, 100.0 * best.share)
     return best
 

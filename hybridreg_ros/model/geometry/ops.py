@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     I32 = NDArray[np.int32]
     I64 = NDArray[np.int64]
 
-MORTON_BITS = 21
 _DIGITS = 2048
 
 

@@ -186,15 +186,6 @@ class SelfLayer(_Attention):
         per_row = self._kept.get(lambda: torch.matmul(W, table.t()), self.position.weight, table)
         return lookup_scores(torch.bmm(q, per_row), bins)
 
-    def plain_scores(self, q: Tensor, table: Tensor, bins: Tensor) -> Tensor:
-        """The same scores by the paper's formula, with the S x S x dim tensor (reference)."""
-        rows = table[bins.long()]
-        angles = rows[:, :, 1:]
-        reduced = angles.amax(dim=2) if self.reduction == 'max' else angles.mean(dim=2)
-        r = self.position(rows[:, :, 0] + reduced)
-        r = r.view(*r.shape[:2], self.heads, self.width)
-        return torch.einsum('hnc,nmhc->hnm', q, r)
-
 
 class CrossLayer(_Attention):
     """Attention of one cloud to the other."""

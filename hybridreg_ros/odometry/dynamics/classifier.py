@@ -94,6 +94,12 @@ class Dynamics:
         moving = self._remembered(se3.apply(T_odom_sensor, points), spread=True)
         return (1.0 - moving).astype(np.float32)
 
+    def recalled(self, points: F32, T_odom_sensor: F64) -> F32:
+        """P(dynamic) (N,) of points (N, 3), sensor frame, by what the last update said there."""
+        if self._grid is None:
+            return np.zeros(len(points), np.float32)
+        return self._remembered(se3.apply(T_odom_sensor, points), spread=False)
+
     def update(
         self,
         cloud: PreprocessedScan,

@@ -81,6 +81,28 @@ class Expected:
         turn = se3.so3_log(pose[:3, :3] @ self.pose[:3, :3].T)
         return weight, weight * np.concatenate([pose[:3, 3] - self.pose[:3, 3], turn])
 
+    def fused(self, pose: F64, shift_m: float, turn_rad: float) -> Expected:
+        """Best estimate of it and of a pose that is independent of it.
+
+        Args:
+            pose: (4, 4) the other pose.
+            shift_m: standard deviation of its position along each axis, metres.
+            turn_rad: standard deviation of its turn about each axis, rad.
+        """
+        delta = se3.inverse(pose) @ self.pose
+        shift, turn = (
+            b**2 / (a**2 + b**2) for a, b in ((self.shift_m, shift_m), (self.turn_rad, turn_rad))
+        )
+        between = np.eye(4)
+        between[:3, :3] = se3.so3_exp(turn * se3.so3_log(delta[:3, :3]))
+        between[:3, 3] = shift * delta[:3, 3]
+        return replace(
+            self,
+            pose=pose @ between,
+            shift_m=self.shift_m * shift**0.5,
+            turn_rad=self.turn_rad * turn**0.5,
+        )
+
     def widened(self, shift: float, turn: float) -> Expected:
         """The same pose with its spread times two factors."""
         start = self.start

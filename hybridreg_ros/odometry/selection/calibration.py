@@ -53,8 +53,8 @@ class OdometryCalibration:
     """What was fitted on the development suite.
 
     Attributes:
-        evidence: by which a pose is judged and chosen; attributes EVIDENCE.
-        confidence: that is reported of the pose chosen; attributes REPORTED.
+        evidence: model by which poses are judged and chosen; its features are EVIDENCE.
+        confidence: model of the confidence that is reported; its features are REPORTED.
         covariance_scale: by kind of sensor (depth, lidar), the factor on the inverse information
             that makes step errors consistent.
         provenance: how each of them was fitted.

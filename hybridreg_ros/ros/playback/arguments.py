@@ -14,24 +14,50 @@ def parser() -> argparse.ArgumentParser:
         description='Play a rosbag2 into ROS topics, with QoS and /clock on request.',
     )
     p.add_argument('bag', help='rosbag2 file (.mcap, .db3) or directory')
-    p.add_argument('--topics', nargs='+', default=[], help='topics to play, default all')
-    p.add_argument('--rate', type=float, default=1.0, help='speed, 1 = as recorded')
+    p.add_argument('--topics', nargs='+', default=[], help='topics to play (default: all)')
+    p.add_argument('--rate', type=float, default=1.0, help='playback speed, 1 = as recorded')
     p.add_argument(
-        '--clock', type=float, nargs='?', const=100.0, default=0.0, metavar='HZ',
-        help='publish /clock so often (100)',
-    )  # fmt: skip
-    p.add_argument('--qos', choices=('reliable', 'sensor_data'), default='reliable')
-    p.add_argument('--qos-depth', type=int, default=10, help='messages DDS keeps per topic')
+        '--clock',
+        type=float,
+        nargs='?',
+        const=100.0,
+        default=0.0,
+        metavar='HZ',
+        help='publish /clock at this rate (100 if HZ is left out)',
+    )
     p.add_argument(
-        '--wait', type=float, nargs='?', const=30.0, default=0.0, metavar='S',
-        help='wait so long for subscribers of the clouds (30 s), then give up with an error',
-    )  # fmt: skip
-    p.add_argument('--start', type=float, default=0.0, help='seconds to skip')
-    p.add_argument('--duration', type=float, default=0.0, help='seconds to play, default all')
-    p.add_argument('--loop', action='store_true', help='begin again at the end of the bag')
+        '--qos',
+        choices=('reliable', 'sensor_data'),
+        default='reliable',
+        help='quality of service of the topics',
+    )
     p.add_argument(
-        '--lossless', type=int, nargs='?', const=2, default=0, metavar='N',
-        help='never more than N (2) clouds under way in the odometry node; implies --wait',
-    )  # fmt: skip
-    p.add_argument('--node', default='hybridreg', help='odometry node that --lossless follows')
+        '--qos-depth', type=int, default=10, help='number of messages that DDS keeps per topic'
+    )
+    p.add_argument(
+        '--wait',
+        type=float,
+        nargs='?',
+        const=30.0,
+        default=0.0,
+        metavar='S',
+        help='wait this long for subscribers of the clouds (30 s if S is left out), then exit '
+        'with an error',
+    )
+    p.add_argument('--start', type=float, default=0.0, help='seconds to skip at the beginning')
+    p.add_argument('--duration', type=float, default=0.0, help='seconds to play (default: all)')
+    p.add_argument('--loop', action='store_true', help='start again at the end of the bag')
+    p.add_argument(
+        '--lossless',
+        type=int,
+        nargs='?',
+        const=2,
+        default=0,
+        metavar='N',
+        help='never have more than N clouds (2 if N is left out) in progress in the odometry '
+        'node; implies --wait',
+    )
+    p.add_argument(
+        '--node', default='hybridreg', help='name of the odometry node that --lossless watches'
+    )
     return p

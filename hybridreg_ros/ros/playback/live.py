@@ -222,7 +222,8 @@ class _Patience:
             self._last = (done, now)
         if now - self._last[1] > self._timeout_s:
             raise HybridRegError(
-                f'the node is silent for {self._timeout_s:g} s with {self._flow.under_way} clouds '
-                f'under way; its last line: {self._process.last_line()}'
+                f'the node has been silent for {self._timeout_s:g} s with '
+                f'{self._flow.under_way} clouds in progress; its last line: '
+                f'{self._process.last_line()}'
             )
         return False

@@ -109,7 +109,7 @@ class NodeProcess:
         """
         if self._process is not None and self._process.poll() is not None:
             raise HybridRegError(
-                f'odometry_node ended with code {self._process.returncode}: {self.last_line()}'
+                f'odometry_node exited with code {self._process.returncode}: {self.last_line()}'
             )
 
     def last_line(self) -> str:

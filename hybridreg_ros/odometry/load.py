@@ -1,0 +1,64 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Load: how much of a step is done while clouds come faster than they can be taken."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hybridreg_ros.model.budget import Budget
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much of a step is done.
+
+    Attributes:
+        level: 0 = all of it.
+        budget: of points for the network.
+        update_every: mask, map and keyframes are made of every n-th scan, and where a keyframe is
+            due; the mask of the others is what was known of their places.
+        wide: whether other guesses are tried while a pose is in doubt.
+    """
+
+    level: int
+    budget: Budget
+    update_every: int
+    wide: bool
+
+
+EFFORTS = (
+    Effort(0, Budget(), 1, wide=True),
+    Effort(1, Budget(), 2, wide=False),
+    Effort(2, Budget(3_000, 144), 3, wide=False),
+)
+"""From all to least. The smaller budget costs three quarters of a step in streets, and accuracy in
+crowded rooms only (docs/lab/2026-11-29-network-leads.md)."""
+_CALM_SCANS = 20
+"""So many scans in a row without a dropped cloud, and a level less is tried."""
+
+
+class Load:
+    """Less per scan at once when clouds are dropped, more again after a calm while.
+
+    What the front end's own slowness drops makes the steps between scans larger and each of them
+    harder; so it must not go on doing all of a step.
+    """
+
+    def __init__(self) -> None:
+        self._level = 0
+        self._calm = 0
+
+    def effort(self, behind: bool) -> Effort:
+        """Effort for the next scan.
+
+        Args:
+            behind: whether clouds were dropped since the last scan because it took too long.
+        """
+        if behind:
+            self._level, self._calm = min(self._level + 1, len(EFFORTS) - 1), 0
+        else:
+            self._calm += 1
+            if self._calm >= _CALM_SCANS:
+                self._level, self._calm = max(self._level - 1, 0), 0
+        return EFFORTS[self._level]

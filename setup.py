@@ -47,6 +47,7 @@ setup(
     # Lower bounds were tried together; constraints.txt has the versions that `make test` installs.
     install_requires=[
         'numpy>=1.26.4,<3',
+        'natsort>=8,<9',
         'numba>=0.61,<1',
         'pyyaml>=6.0.1,<7',
         'torch>=2.6,<3',

@@ -14,6 +14,7 @@ from hybridreg_ros.replay.bag_writer import BagWriter
 from hybridreg_ros.replay.trajectory_io import tum_row
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -74,6 +75,57 @@ def write_room_bag(
                 bag.write_cloud(topic, stamp, 'lidar', room_cloud(i, n))
             if truth:
                 bag.write_odometry('/ground_truth/odom', stamp, ('world', 'lidar'), sensor_pose(i))
+
+
+def write_mcap(
+    path: Path,
+    messages: Iterable[tuple[str, int, bytes]],
+    schema: tuple[str, str, bytes],
+    encoding: str = 'cdr',
+    chunked: bool = True,
+) -> None:
+    """Write an mcap file with any message definition, of which the messages need not be.
+
+    Args:
+        path: new file.
+        messages: topic, log time (ns) and bytes of each.
+        schema: name, encoding and text of the only definition.
+        encoding: of the messages.
+        chunked: False writes a file without chunks, so without an index.
+    """
+    from mcap.writer import Writer
+
+    with path.open('wb') as stream:
+        writer = Writer(stream, use_chunking=chunked)
+        writer.start(profile='ros2', library='test')
+        kind = writer.register_schema(*schema)
+        channels: dict[str, int] = {}
+        for topic, stamp, raw in messages:
+            if topic not in channels:
+                channels[topic] = writer.register_channel(topic, encoding, kind)
+            writer.add_message(channels[topic], stamp, raw, stamp)
+        writer.finish()
+
+
+def cloud_bytes(frames: int, stamped: bool = True, n: int = 3000) -> list[tuple[str, int, bytes]]:
+    """Topic, log time and CDR bytes of clouds of the room; without `stamped`, stamps are zero."""
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    types = store.types
+    found = []
+    for i in range(frames):
+        cloud, stamp = room_cloud(i, n), START + i * PERIOD
+        sec, nanosec = divmod(stamp if stamped else 0, 10**9)
+        time = types['builtin_interfaces/msg/Time'](sec, nanosec)
+        message = types['sensor_msgs/msg/PointCloud2'](
+            types['std_msgs/msg/Header'](time, 'lidar'), cloud.height, cloud.width,
+            [types['sensor_msgs/msg/PointField'](*field) for field in cloud.fields],
+            cloud.is_bigendian, cloud.point_step, cloud.row_step, cloud.data, cloud.is_dense,
+        )  # fmt: skip
+        raw = bytes(store.serialize_cdr(message, 'sensor_msgs/msg/PointCloud2'))
+        found.append(('/points', stamp, raw))
+    return found
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:

@@ -112,6 +112,16 @@ def _budget(p: argparse.ArgumentParser) -> None:
     )
 
 
+def _extrinsic(p: argparse.ArgumentParser, text: str) -> None:
+    p.add_argument('--extrinsic', type=float, nargs=7, help=text,
+                   metavar=('X', 'Y', 'Z', 'QX', 'QY', 'QZ', 'QW'))  # fmt: skip
+
+
+def _columns(p: argparse.ArgumentParser) -> None:
+    p.add_argument('--columns', type=_number(int, 3, 64), metavar='N',
+                   help='values per point of .bin files (default: by the values)')  # fmt: skip
+
+
 def _dask(p: argparse.ArgumentParser) -> None:
     p.add_argument(
         '--workers', type=COUNT, default=1, metavar='N', help='number of processes (default 1)'
@@ -143,6 +153,7 @@ def _register(commands: Commands) -> None:
         metavar='M',
         help='voxel size in metres (default: chosen from the clouds)',
     )
+    _columns(p)
     p.add_argument('--no-refine', action='store_true', help='skip the final refinement')
     _weights(p)
 
@@ -153,6 +164,7 @@ def _convert(commands: Commands) -> None:
     p.add_argument('directory', type=Path, metavar='DIR', help='folder with the recording')
     _bag_output(p)
     p.add_argument('--poses', type=Path, metavar='FILE', help='poses (default: poses.txt in DIR)')
+    _columns(p)
     p.add_argument(
         '--rate',
         type=POSITIVE,
@@ -224,12 +236,19 @@ def _replay(commands: Commands) -> None:
     p.add_argument('--config', type=Path, metavar='YAML', help='settings (see dump-config)')
     _weights(p)
     p.add_argument('--topic', help='PointCloud2 topic, if the bag has several')
-    p.add_argument('--truth-topic', help='topic with the true poses')
+    p.add_argument('--truth-topic', help='topic with the true poses (default /ground_truth/odom)')
+    _extrinsic(p, 'pose of the sensor in the body of the true poses')
     p.add_argument(
         '--time-unit',
         default='auto',
         help='unit of the per-point times (default auto)',
         choices=('auto', 's', 'ms', 'us', 'ns', 'normalised', 'none'),
+    )
+    p.add_argument(
+        '--time-field',
+        default='',
+        metavar='NAME',
+        help='field with the per-point times (default: the first usable one)',
     )
     p.add_argument('--stride', type=COUNT, default=1, metavar='N', help='use every N-th cloud')
     p.add_argument('--max-frames', type=COUNT, metavar='N', help='stop after N clouds')
@@ -315,8 +334,9 @@ def _score(commands: Commands) -> None:
     )
     p.add_argument('estimate', type=Path, metavar='EST', help='TUM or KITTI poses, or a bag')
     p.add_argument('reference', type=Path, metavar='REF', help='TUM or KITTI poses, or a bag')
-    p.add_argument('--topic', help='Odometry topic of EST (default /hybridreg/odom)')
-    p.add_argument('--ref-topic', help='Odometry topic of REF (default /ground_truth/odom)')
+    p.add_argument('--topic', help='topic of the poses of EST (default /hybridreg/odom)')
+    p.add_argument('--ref-topic', help='the same of REF (default /ground_truth/odom)')
+    _extrinsic(p, 'pose of the body of EST in that of REF')
     p.add_argument(
         '--tolerance',
         type=POSITIVE,

@@ -24,6 +24,7 @@ def run(args: argparse.Namespace) -> int:
         stride=args.stride,
         pixel_step=args.pixel_step,
         max_depth_m=args.max_depth,
+        columns=args.columns,
     )
     recording = open_recording(args.format, args.directory, options)
     with BagWriter(args.out, args.storage, args.overwrite) as bag:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 import time
 from typing import TYPE_CHECKING
 
@@ -51,6 +52,9 @@ def run(args: argparse.Namespace) -> int:
     print(report_tables.text_table(report_tables.score_rows(rows)))
     print(f'report: {page}   bag: {bag}   {time.perf_counter() - start:.0f} s')
     write_result(args, {'bag': bag, 'live': ours.metrics, 'kiss_icp_alone': alone.scores})
+    if ours.log.useless:
+        print(f'hybridreg: error: {bag}: {ours.log.useless}', file=sys.stderr)
+        return 2
     return 130 if ours.log.interrupted else 0
 
 

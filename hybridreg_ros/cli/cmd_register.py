@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def run(args: argparse.Namespace) -> int:
     """Register and print."""
-    source, target = read_cloud(args.source), read_cloud(args.target)
+    source, target = (read_cloud(f, args.columns) for f in (args.source, args.target))
     result = HybridReg.from_pretrained(args.weights).register(source, target, args.voxel)
     T = result.T_lgr if args.no_refine else result.T_target_source
     print('T_target_source (metres):')

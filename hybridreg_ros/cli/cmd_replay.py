@@ -65,7 +65,9 @@ def _jobs(args: argparse.Namespace) -> list[session.Job]:
             weights=args.weights,
             topic=args.topic,
             truth_topic=args.truth_topic,
+            extrinsic=args.extrinsic and tuple(args.extrinsic),
             time_unit=args.time_unit,
+            time_field=args.time_field,
             stride=args.stride,
             max_frames=args.max_frames,
             clouds=not args.no_clouds,
@@ -108,6 +110,11 @@ def _report(args: argparse.Namespace, jobs: list[session.Job], runs: Iterable[Re
             code = EXIT_INTERRUPTED if done.log.interrupted == INTERRUPTED else EXIT_ERROR
             if code == EXIT_INTERRUPTED:
                 break
+        elif done.log.useless:
+            print(f'hybridreg: error: {job.bag}: {done.log.useless}', file=sys.stderr)
+            code = EXIT_ERROR
+        if done.scores.warning:
+            print(f'{job.bag}: {done.scores.warning}', file=sys.stderr)
         if done.scores.note:
             print(f'{job.bag}: no trajectory score: {done.scores.note}', file=sys.stderr)
     print(report_tables.text_table(report_tables.score_rows(rows)))

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING
 
 from hybridreg_ros.cli.common import write_result
@@ -17,7 +18,11 @@ if TYPE_CHECKING:
 
 def run(args: argparse.Namespace) -> int:
     """Score and print."""
-    scores = score_paths(args.estimate, args.reference, args.topic, args.ref_topic, args.tolerance)
+    scores = score_paths(
+        args.estimate, args.reference, args.topic, args.ref_topic, args.tolerance, args.extrinsic
+    )
+    if scores.warning:
+        print(f'hybridreg: warning: {scores.warning}', file=sys.stderr)
     print('\n'.join(f'{name:<24}{value:>14}  {unit}' for name, value, unit in lines(scores)))
     write_result(args, scores)
     return 0

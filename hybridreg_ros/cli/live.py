@@ -46,6 +46,7 @@ def check_options(args: argparse.Namespace) -> None:
         '--stride': args.stride != 1,
         '--max-frames': args.max_frames is not None,
         '--time-unit': args.time_unit != 'auto',
+        '--time-field': args.time_field != '',
         '--weights': args.weights is not None,
         '--no-clouds': args.no_clouds,
     }
@@ -79,7 +80,7 @@ def replay_live(job: session.Job, options: LiveOptions) -> ReportRun:
         ) from None
     topic, count = session.planned_frames(job)
     with open_bag(job.bag) as bag:
-        truth = bag.ground_truth(job.truth_topic)
+        truth = session.truth_of(job, bag)
     job.out.mkdir(parents=True, exist_ok=True)
     recorder = LiveRecorder(job.out, count)
     about: dict[str, Any] = {'topic': topic, 'stride': 1, 'live': True, 'rate': options.rate}

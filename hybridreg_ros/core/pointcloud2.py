@@ -13,16 +13,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from hybridreg_ros.core.errors import PointCloudError
-from hybridreg_ros.core.point_times import to_seconds
-from hybridreg_ros.core.scan import NS_PER_S, Scan
+from hybridreg_ros.core.point_times import AUTO, SECONDS_OF, time_fields, to_seconds
+from hybridreg_ros.core.scan import NO_RETURN_M, NS_PER_S, Scan, farther, units_note
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
-
-TIME_FIELDS = ('t', 'time', 'timestamp', 'offset_time', 'time_stamp', 'times', 'stamp')
-"""Names under which lidar drivers store per-point times (Ouster, Velodyne, Hesai, Livox, ...)."""
 
 _FORMATS = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
 _CODES = {np.dtype(name): code for code, name in _FORMATS.items()}
@@ -62,53 +59,154 @@ class CloudData:
     is_dense: bool
 
 
-def to_scan(msg: Any, time_unit: str = 'auto', scan_period_s: float = 0.1) -> Scan:
+def to_scan(
+    msg: Any, time_unit: str = AUTO, scan_period_s: float = 0.1, time_field: str = ''
+) -> Scan:
     """Decode a PointCloud2 message: any field layout, offset, padding and byte order.
 
     Args:
         msg: object with the attributes of sensor_msgs/PointCloud2 (rclpy, rosbags or alike).
         time_unit: unit of the per-point times: auto, s, ms, us, ns, normalised or none.
         scan_period_s: seconds that a normalised time of 1 stands for.
+        time_field: field with the per-point times; '' = the first usable one of those in
+            `point_times.TIME_FIELDS`.
 
     Returns:
-        The scan; rows with a NaN or inf coordinate are left out of every field. `Scan.notes` says
-        when per-point times were present and could not be used. An empty cloud gives N = 0.
+        The scan; rows with a NaN or inf coordinate, at the sensor (no return: `Scan.near`), or
+        with a time that is far from all others are left out of every field. `Scan.times_from`
+        says what the times were made from, `Scan.notes` what could not be used, or seems not to be
+        in metres. An empty cloud gives N = 0.
 
     Raises:
-        PointCloudError: the layout contradicts itself, data are missing, or x, y, z are absent.
+        PointCloudError: the layout contradicts itself, data are missing, or x, y, z (or X, Y, Z)
+            are absent.
     """
     rows_data = _rows(msg)
     layout = _dtype(msg)
-    missing = [axis for axis in 'xyz' if axis not in (layout.names or ())]
+    axes, missing = coordinates(layout.names or ())
     if missing:
         found = ', '.join(layout.names or ()) or 'none'
         raise PointCloudError(f'PointCloud2 lacks field {", ".join(missing)}; found: {found}')
     table = rows_data.view(layout).reshape(-1)
     xyz = np.empty((len(table), 3), dtype=np.float32)
     with np.errstate(over='ignore', invalid='ignore'):
-        for column, axis in enumerate('xyz'):
-            values = table[axis]
-            xyz[:, column] = values if values.ndim == 1 else values[:, 0]
-    valid = np.isfinite(xyz).all(axis=1)
-    rows = np.flatnonzero(valid)
+        for column, axis in enumerate(axes):
+            xyz[:, column] = _column(table, axis)
+    finite = np.isfinite(xyz).all(axis=1)
+    seen = finite & farther(xyz, NO_RETURN_M)
+    rows = np.flatnonzero(seen)
     stamp = int(msg.header.stamp.sec) * NS_PER_S + int(msg.header.stamp.nanosec)
-    times: NDArray[np.float64] | None = None
-    notes: tuple[str, ...] = ()
-    name = next((n for n in TIME_FIELDS if n in (layout.names or ())), None)
-    if name is not None and time_unit != 'none' and len(rows):
-        raw = table[name] if table[name].ndim == 1 else table[name][:, 0]
-        times, note = to_seconds(raw[rows], stamp, time_unit, scan_period_s)
-        notes = (f'field {name}: {note}',) if note else ()
+    found_times = _Times(None, rows, 'none: the cloud is empty', ())
+    if time_unit == 'none':
+        found_times = found_times._replace(used='none: time_unit is none')
+    elif len(rows):
+        found_times = _times(table, rows, stamp, (time_unit, scan_period_s, time_field))
+    rows = found_times.rows
+    points = xyz if len(rows) == len(xyz) else xyz[rows]
+    unit_note = units_note(points)
     return Scan(
-        points=xyz if len(rows) == len(xyz) else xyz[rows],
-        times=times,
+        points=points,
+        times=found_times.seconds,
         stamp=stamp,
         frame_id=str(msg.header.frame_id),
         rows=rows,
         size=len(table),
         shape=(int(msg.height), int(msg.width)),
-        notes=notes,
+        near=int(np.count_nonzero(finite)) - int(np.count_nonzero(seen)),
+        notes=(*found_times.notes, unit_note) if unit_note else found_times.notes,
+        times_from=found_times.used,
     )
+
+
+class _Times(NamedTuple):
+    """Times of the rows that are kept, what they were made from, and what was not usable."""
+
+    seconds: NDArray[np.float64] | None
+    rows: NDArray[np.int64]
+    used: str
+    notes: tuple[str, ...]
+
+
+def _times(
+    table: NDArray[Any], rows: NDArray[np.int64], stamp: int, wanted: tuple[str, float, str]
+) -> _Times:
+    """Per-point times of some rows: of the field asked for, or of the first usable one.
+
+    Args:
+        table: (M,) structured, all points.
+        rows: (N,) those with coordinates, N >= 1.
+        stamp: of the message, ns.
+        wanted: unit, scan period (s) and name of the field, '' for any.
+    """
+    unit, period_s, field = wanted
+    names = table.dtype.names or ()
+    listing = ', '.join(names)
+    if field and field not in names:
+        return _Times(None, rows, f'none: no field {field}', (f'no field {field} in: {listing}',))
+    notes = []
+    for name in (field,) if field else time_fields(names):
+        times = to_seconds(_raw_times(table, rows, name), stamp, unit, period_s, name)
+        if times.note:
+            notes.append(f'field {name}: {times.note}')
+        if times.seconds is not None:
+            kept = slice(None) if times.keep.all() else times.keep
+            about = (notes[-1],) if times.note else ()
+            return _Times(times.seconds[kept], rows[kept], f'{name} ({times.unit})', about)
+    if notes:
+        return _Times(None, rows, 'none: no time field is usable', tuple(notes))
+    return _Times(None, rows, f'none: no known time field in {listing}', ())
+
+
+def _raw_times(table: NDArray[Any], rows: NDArray[np.int64], name: str) -> NDArray[Any]:
+    """Values of a time field, (N,); where whole seconds stand apart, joined with them."""
+    raw = _column(table, name)[rows]
+    partner = SECONDS_OF.get(name.lower())
+    names = {n.lower(): n for n in table.dtype.names or ()}
+    if partner is None or raw.dtype.kind not in 'iu':
+        return raw
+    raw = raw.astype(np.int64)
+    if partner in names:
+        raw += _column(table, names[partner])[rows].astype(np.int64) * NS_PER_S
+    elif np.ptp(raw) > NS_PER_S // 2:  # a second ended during the scan
+        raw[raw < NS_PER_S // 2] += NS_PER_S
+    return raw
+
+
+def _column(table: NDArray[Any], name: str) -> NDArray[Any]:
+    """Values of a field, the first of several per point."""
+    values = table[name]
+    return values if values.ndim == 1 else values[:, 0]
+
+
+def coordinates(names: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Names of the fields x, y and z, in small or else capital letters, and which are missing.
+
+    >>> coordinates(['X', 'Y', 'intensity'])
+    (['X', 'Y'], ['z'])
+    """
+    found, missing = [], []
+    for axis in 'xyz':
+        name = next((n for n in (axis, axis.upper()) if n in names), None)
+        if name is None:
+            missing.append(axis)
+        else:
+            found.append(name)
+    return found, missing
+
+
+def unique_names(names: Sequence[str]) -> list[str]:
+    """The names, numbered where one stands twice, so that numpy takes them.
+
+    >>> unique_names(['x', '_', '_', ''])
+    ['x', '_', '_ 2', ' 3']
+    """
+    seen: set[str] = set()
+    found = []
+    for number, name in enumerate(names):
+        plain = name if name and name not in seen else f'{name} {number}'
+        seen.add(plain)
+        found.append(plain)
+    return found
 
 
 def field_values(msg: Any, name: str) -> NDArray[Any]:
@@ -128,8 +226,7 @@ def field_values(msg: Any, name: str) -> NDArray[Any]:
     if name not in (layout.names or ()):
         found = ', '.join(layout.names or ()) or 'none'
         raise PointCloudError(f'PointCloud2 lacks field {name}; found: {found}')
-    values = _rows(msg).view(layout).reshape(-1)[name]
-    values = values if values.ndim == 1 else values[:, 0]
+    values = _column(_rows(msg).view(layout).reshape(-1), name)
     return np.ascontiguousarray(values.astype(values.dtype.newbyteorder('=')))
 
 
@@ -254,8 +351,6 @@ def _dtype(msg: Any) -> np.dtype[Any]:
     for f in msg.fields:
         if f.datatype not in _FORMATS:
             raise PointCloudError(f'field {f.name}: unknown datatype {f.datatype}, expected 1..8')
-        if f.name in names:
-            raise PointCloudError(f'field {f.name} occurs twice in the PointCloud2')
         count = max(int(f.count), 1)
         end = int(f.offset) + count * np.dtype(_FORMATS[f.datatype]).itemsize
         if f.offset < 0 or end > step:
@@ -270,7 +365,12 @@ def _dtype(msg: Any) -> np.dtype[Any]:
         )
         offsets.append(int(f.offset))
     return np.dtype(
-        {'names': names, 'formats': formats, 'offsets': offsets, 'itemsize': max(step, 1)}
+        {
+            'names': unique_names(names),
+            'formats': formats,
+            'offsets': offsets,
+            'itemsize': max(step, 1),
+        }
     )
 
 

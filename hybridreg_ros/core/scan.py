@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 NS_PER_S = 1_000_000_000
+_FARTHEST_M = 300.0
+NO_RETURN_M = 0.01
+"""Nothing measures nearer than this: drivers write (0, 0, 0) where there was no return."""
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -29,7 +32,9 @@ class Scan:
         rows: (N,) int64, row of each point in its message (rows with NaN are skipped).
         size: number of rows of that message, dropped ones included.
         shape: (height, width) of the message; height > 1 means an organised cloud.
+        near: rows of the message left out because they lie at the sensor, or nearer than it sees.
         notes: what could not be used of the message (one line each), for logs and diagnostics.
+        times_from: field and unit that `times` were made from, or why there are none.
     """
 
     points: NDArray[np.float32]
@@ -39,9 +44,11 @@ class Scan:
     rows: NDArray[np.int64]
     size: int
     shape: tuple[int, int]
+    near: int
     notes: tuple[str, ...]
+    times_from: str
 
-    def __init__(
+    def __init__(  # noqa: PLR0913, PLR0917 - one argument a field
         self,
         points: ArrayLike,
         times: ArrayLike | None = None,
@@ -51,6 +58,8 @@ class Scan:
         size: int = -1,
         shape: tuple[int, int] = (0, 0),
         notes: tuple[str, ...] = (),
+        near: int = 0,
+        times_from: str = '',
     ) -> None:
         """Normalise types; fill `rows`, `size`, `shape` when they are not given.
 
@@ -63,6 +72,8 @@ class Scan:
             size: -1 means N.
             shape: (0, 0) means (1, size).
             notes: one line each.
+            near: rows left out for their range.
+            times_from: where the times come from.
 
         Raises:
             PointCloudError: points are not (N, 3) or not finite, or a per-point field has another
@@ -93,7 +104,9 @@ class Scan:
             'rows': rows,
             'size': size,
             'shape': (1, size) if shape == (0, 0) else shape,
+            'near': near,
             'notes': notes,
+            'times_from': times_from,
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -109,5 +122,43 @@ class Scan:
 
     @property
     def dropped(self) -> int:
-        """Rows of the message that held NaN or inf and are not in `points`."""
+        """Rows of the message that are not in `points`: NaN, inf, or `near`."""
         return self.size - len(self.points)
+
+    def beyond(self, range_m: float) -> Scan:
+        """The scan without points nearer than a range (metres), in every field; `near` grows."""
+        keep = farther(self.points, range_m)
+        near = len(self) - int(np.count_nonzero(keep))
+        if not near:
+            return self
+        times = None if self.times is None else self.times[keep]
+        return replace(
+            self,
+            points=self.points[keep],
+            times=times,
+            rows=self.rows[keep],
+            near=self.near + near,
+        )
+
+
+def farther(points: NDArray[np.float32], range_m: float) -> NDArray[np.bool_]:
+    """Which points (N, 3) are not nearer to the sensor than a range, metres; none with NaN."""
+    with np.errstate(over='ignore', invalid='ignore'):
+        inside: NDArray[np.bool_] = np.einsum('ij,ij->i', points, points) >= range_m**2
+    return inside
+
+
+def units_note(points: NDArray[np.floating]) -> str:
+    """What to say of a cloud whose points lie too far away for metres, '' for any other.
+
+    Args:
+        points: (N, 3), sensor frame, all finite.
+    """
+    some = points[:: max(1, len(points) // 1000)].astype(np.float64)
+    middle = float(np.median(np.linalg.norm(some, axis=1))) if len(some) else 0.0
+    if middle <= _FARTHEST_M:
+        return ''
+    return (
+        f'half of the points are farther than {middle:.4g} m: expected metres, this looks like '
+        'millimetres; divide the coordinates by 1000'
+    )

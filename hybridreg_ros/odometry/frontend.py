@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.core.scan import NS_PER_S
+from hybridreg_ros.core.scan import NS_PER_S, units_note
 from hybridreg_ros.odometry import network_branch
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.intake import Intake
@@ -162,6 +162,17 @@ class HybridOdometry:
         self._keyframe_id = made.keyframe_id
         return replace(result, timings_s=watch.laps(), **made._asdict())
 
+    def seen(self, scan: Scan) -> Scan:
+        """The scan without points nearer than the sensor can see: no return, or its own housing.
+
+        They are not registered, and nothing is known of whether they move; whoever publishes
+        points of a scan steps with what this returns.
+        """
+        if not len(scan):
+            return scan
+        known = None if self._tracker is None else self._tracker.sensor
+        return scan.beyond((known or recognise_sensor(scan.points, self.config)).min_range_m)
+
     def _rebase(self, scan: Scan, fault: Reason) -> bool:
         """Whether the time base has changed for good; then the velocity is unknown."""
         if fault is Reason.FRAME_CHANGED or not self._intake.rebased(scan):
@@ -176,6 +187,8 @@ class HybridOdometry:
             sensor = recognise_sensor(scan.points, self.config)
             cloud = preprocess(scan, sensor, self.config.preprocess, self._motion.twist)
             if len(cloud.icp_rows) < self.config.input.min_points:
+                if note := units_note(scan.points):
+                    _log.warning('%s', note)
                 return None
             _log.info('sensor: %s', sensor)
             self._tracker = Tracker(self.config, sensor, self._registrar, self._motion)

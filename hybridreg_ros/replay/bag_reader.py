@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from hybridreg_ros.core import pointcloud2, se3
-from hybridreg_ros.core.errors import BagError, PointCloudError
+from hybridreg_ros.core.errors import BagError, FileFormatError, PointCloudError
 from hybridreg_ros.core.quaternion import from_quaternion
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.metrics.trajectory import Trajectory
-from hybridreg_ros.replay.bag_sources import DAMAGE, BagTopic, RawMessage, open_source
+from hybridreg_ros.replay.bag_files import DAMAGE, RawMessage, one_line
+from hybridreg_ros.replay.bag_sources import BagTopic, open_source
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
@@ -30,6 +31,14 @@ logger = logging.getLogger(__name__)
 POINT_CLOUD2 = 'sensor_msgs/msg/PointCloud2'
 ODOMETRY = 'nav_msgs/msg/Odometry'
 POSE_STAMPED = 'geometry_msgs/msg/PoseStamped'
+POSES = (
+    ODOMETRY,
+    POSE_STAMPED,
+    'geometry_msgs/msg/PoseWithCovarianceStamped',
+    'geometry_msgs/msg/TransformStamped',
+)
+"""Message types that hold one stamped pose."""
+STAMPED = (POINT_CLOUD2, *POSES)
 GROUND_TRUTH_TOPIC = '/ground_truth/odom'
 REORDER_WINDOW = 8
 
@@ -69,6 +78,7 @@ class Bag:
             BagError: missing, not a bag, or damaged beyond repair.
         """
         self.path = Path(path)
+        self._without_stamps: set[str] = set()
         self._source = open_source(self.path)
         self.topics: dict[str, BagTopic] = self._source.topics
         self.recovered = self._source.recovered
@@ -99,27 +109,30 @@ class Bag:
             wanted: topic asked for; None accepts the only one there is.
 
         Raises:
-            BagError: no such topic, none, or several to choose from.
+            BagError: no such topic, none, several to choose from, or one without messages.
         """
         clouds = sorted(t.name for t in self.topics.values() if t.msgtype == POINT_CLOUD2)
-        if wanted is not None:
-            return self._named(wanted, (POINT_CLOUD2,))
-        if not clouds:
-            raise BagError(f'{self.path} has no PointCloud2 topic; found: {self._listing()}')
-        if len(clouds) > 1:
-            raise BagError(
-                f'{self.path} has {len(clouds)} PointCloud2 topics, choose one with --topic: '
-                f'{", ".join(clouds)}'
-            )
-        return clouds[0]
+        if wanted is None:
+            if not clouds:
+                raise BagError(f'{self.path} has no PointCloud2 topic; found: {self._listing()}')
+            if len(clouds) > 1:
+                raise BagError(
+                    f'{self.path} has {len(clouds)} PointCloud2 topics, choose one with --topic: '
+                    f'{", ".join(clouds)}'
+                )
+        name = clouds[0] if wanted is None else self._named(wanted, (POINT_CLOUD2,))
+        if not self.topics[name].messages:
+            raise BagError(f'{self.path} holds no message on {name}')
+        return name
 
     def _named(self, wanted: str, msgtypes: tuple[str, ...]) -> str:
         topic = self.topics.get(wanted) or self.topics.get(f'/{wanted}')
         if topic is None:
             raise BagError(f'{self.path} has no topic {wanted}; found: {self._listing()}')
         if topic.msgtype not in msgtypes:
+            expected = ' or '.join(msgtypes)
             raise BagError(
-                f'topic {wanted} of {self.path} is {topic.msgtype}, expected {msgtypes[0]}'
+                f'topic {wanted} of {self.path} is {topic.msgtype}, expected {expected}'
             )
         return topic.name
 
@@ -141,23 +154,35 @@ class Bag:
         names = self.topics.keys() if topics is None else topics
         held: list[tuple[int, int, BagMessage]] = []
         for number, stored in enumerate(self._source.read(names)):
-            message = BagMessage(
-                stored.topic, stored.msgtype, stored.log_time, self._stamp(stored), stored.raw
-            )
+            stamp, raw = self._stamp(stored)
+            message = BagMessage(stored.topic, stored.msgtype, stored.log_time, stamp, raw)
             heapq.heappush(held, (message.stamp, number, message))
             if len(held) > window:
                 yield heapq.heappop(held)[2]
         while held:
             yield heapq.heappop(held)[2]
 
-    def _stamp(self, message: RawMessage) -> int:
-        """Header stamp read from the CDR bytes; the log time for types without a header."""
+    def _stamp(self, message: RawMessage) -> tuple[int, bytes]:
+        """Header stamp read from the CDR bytes, and the bytes.
+
+        The log time stands in for types without a header, and for a stamp of zero, which means
+        'none' in ROS; it is then written into the bytes of clouds and poses.
+        """
+        raw, log_time = message.raw, message.log_time
         fields = self._source.typestore.fielddefs.get(message.msgtype, ((), ()))[1]
-        if not fields or fields[0][0] != 'header' or len(message.raw) < 12:
-            return message.log_time
-        order = '<' if message.raw[1] & 1 else '>'
-        sec, nanosec = struct.unpack_from(f'{order}iI', message.raw, 4)
-        return int(sec) * NS_PER_S + int(nanosec)
+        if not fields or fields[0][0] != 'header' or len(raw) < 12:
+            return log_time, raw
+        layout = f'{"<" if raw[1] & 1 else ">"}iI'
+        sec, nanosec = struct.unpack_from(layout, raw, 4)
+        if (sec, nanosec) != (0, 0):
+            return int(sec) * NS_PER_S + int(nanosec), raw
+        seconds, rest = divmod(log_time, NS_PER_S)
+        if message.msgtype not in STAMPED or seconds >= 2**31:
+            return log_time, raw
+        if message.topic not in self._without_stamps:
+            self._without_stamps.add(message.topic)
+            logger.warning('stamps of %s are zero: log times stand in', message.topic)
+        return log_time, raw[:4] + struct.pack(layout, seconds, rest) + raw[12:]
 
     def decode(self, message: BagMessage) -> Any:
         """Message object with the attributes of its ROS type; arrays are numpy.
@@ -170,23 +195,27 @@ class Bag:
         except DAMAGE as error:
             raise BagError(
                 f'message at {message.stamp / NS_PER_S:.6f} s on {message.topic} cannot be '
-                f'decoded: {" ".join(str(error).split())}'
+                f'decoded: {one_line(error)}'
             ) from None
 
-    def frames(self, topic: str | None = None, time_unit: str = 'auto') -> Iterator[CloudFrame]:
+    def frames(
+        self, topic: str | None = None, time_unit: str = 'auto', time_field: str = ''
+    ) -> Iterator[CloudFrame]:
         """Clouds in stamp order, unusable ones included with their reason.
 
         Args:
             topic: PointCloud2 topic; None takes the only one.
             time_unit: unit of per-point times, see core.pointcloud2.to_scan.
+            time_field: field of per-point times, '' = by the usual names.
         """
         for message in self.messages([self.cloud_topic(topic)]):
             cloud: Any = None
             try:
+                if message.stamp < 0:
+                    raise BagError(f'its stamp is negative: {message.stamp / NS_PER_S:.6f} s')
                 cloud = self.decode(message)
-                yield CloudFrame(
-                    message.stamp, cloud, pointcloud2.to_scan(cloud, time_unit=time_unit), ''
-                )
+                scan = pointcloud2.to_scan(cloud, time_unit, time_field=time_field)
+                yield CloudFrame(message.stamp, cloud, scan, '')
             except (BagError, PointCloudError) as error:
                 yield CloudFrame(message.stamp, cloud, None, str(error))
 
@@ -199,24 +228,27 @@ class Bag:
                 yield frame.scan
 
     def trajectory(self, topic: str) -> Trajectory:
-        """Poses of an Odometry or PoseStamped topic; of equal stamps the last one counts.
+        """Poses of a topic of a type in `POSES`; of equal stamps the last one counts.
 
         Raises:
-            BagError: no such topic, or another type.
+            BagError: no such topic, another type, or a message that holds no pose.
         """
-        name = self._named(topic, (ODOMETRY, POSE_STAMPED))
+        name = self._named(topic, POSES)
         poses: dict[int, Any] = {}
         for message in self.messages([name]):
-            decoded = self.decode(message)
-            pose = decoded.pose.pose if message.msgtype == ODOMETRY else decoded.pose
-            poses[message.stamp] = _matrix(pose)
+            try:
+                poses[message.stamp] = _matrix(self.decode(message))
+            except FileFormatError as error:
+                second = message.stamp / NS_PER_S
+                raise BagError(f'{self.path}, {name} at {second:.6f} s: {error}') from None
         return trajectory_of(poses.items())
 
     def ground_truth(self, topic: str | None = None) -> Trajectory | None:
         """True poses: of the topic asked for, or of /ground_truth/odom; None when absent."""
         if topic is not None:
             return self.trajectory(topic)
-        return self.trajectory(GROUND_TRUTH_TOPIC) if GROUND_TRUTH_TOPIC in self.topics else None
+        usual = self.topics.get(GROUND_TRUTH_TOPIC)
+        return self.trajectory(GROUND_TRUTH_TOPIC) if usual and usual.messages else None
 
 
 def trajectory_of(poses: Iterable[tuple[int, Any]]) -> Trajectory:
@@ -229,9 +261,21 @@ def trajectory_of(poses: Iterable[tuple[int, Any]]) -> Trajectory:
     )
 
 
-def _matrix(pose: Any) -> Any:
-    q, p = pose.orientation, pose.position
-    return se3.transform(from_quaternion(q.x, q.y, q.z, q.w), np.array([p.x, p.y, p.z]))
+def _matrix(message: Any) -> Any:
+    """Pose (4, 4) of a message of a type in `POSES`.
+
+    Raises:
+        FileFormatError: its quaternion has not norm 1, or its place is not finite.
+    """
+    if hasattr(message, 'transform'):
+        q, p = message.transform.rotation, message.transform.translation
+    else:
+        pose = message.pose.pose if hasattr(message.pose, 'pose') else message.pose
+        q, p = pose.orientation, pose.position
+    place = np.array([p.x, p.y, p.z])
+    if not np.isfinite(place).all():
+        raise FileFormatError(f'its place is {place.tolist()}')
+    return se3.transform(from_quaternion(q.x, q.y, q.z, q.w), place)
 
 
 def open_bag(path: str | Path) -> Bag:

@@ -1,24 +1,32 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Ways into a rosbag2: the indexed reader, and streaming for mcap files that were cut off."""
+"""Ways into a rosbag2: a file, a directory, or the files of a directory without metadata."""
 
 from __future__ import annotations
 
-import struct
+import contextlib
+import logging
 from collections import Counter
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from hybridreg_ros.core.errors import BagError, DependencyError
+import yaml
+from natsort import natsorted
+
+from hybridreg_ros.core.errors import BagError
+from hybridreg_ros.replay.bag_files import (
+    DAMAGE,
+    ROS1_ADVICE,
+    McapFile,
+    RawMessage,
+    RosbagsFile,
+    one_line,
+)
 
 try:
-    import apsw
-    from mcap.exceptions import McapError
-    from mcap.reader import NonSeekingReader
-    from rosbags.highlevel import AnyReader, AnyReaderError
-    from rosbags.rosbag2 import ReaderError
-    from rosbags.serde import SerdeError
-    from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 except ImportError as missing:
+    from hybridreg_ros.core.errors import DependencyError
+
     raise DependencyError(
         f"bags need {missing.name}: pip install 'hybridreg_ros[replay]'"
     ) from None
@@ -29,28 +37,11 @@ if TYPE_CHECKING:
 
     from rosbags.typesys.store import Typestore
 
-DAMAGE = (
-    AnyReaderError,
-    ReaderError,
-    McapError,
-    SerdeError,
-    TypesysError,
-    apsw.Error,
-    OSError,
-    EOFError,
-    RuntimeError,
-    AssertionError,
-    LookupError,
-    TypeError,
-    ValueError,
-    struct.error,
-)
-"""What the bag libraries raise on damaged files; all of it becomes one BagError here."""
+logger = logging.getLogger(__name__)
 
-SQLITE_ADVICE = (
-    'a cut-off sqlite3 bag cannot be streamed; try: '
-    'sqlite3 BROKEN.db3 .recover | sqlite3 FIXED.db3, then ros2 bag reindex'
-)
+METADATA = 'metadata.yaml'
+NEWEST_METADATA = 9
+SUFFIXES = ('.mcap', '.db3')
 
 
 class BagTopic(NamedTuple):
@@ -61,27 +52,49 @@ class BagTopic(NamedTuple):
     messages: int
 
 
-class RawMessage(NamedTuple):
-    """One message as stored: topic, message type, log time (ns), CDR bytes."""
+class Source:
+    """An opened bag: its files one after the other.
 
-    topic: str
-    msgtype: str
-    log_time: int
-    raw: bytes
+    Attributes:
+        topics: topic name to BagTopic.
+        recovered: messages rescued from cut-off files, None when all are whole.
+        typestore: types of ROS 2 Jazzy, and those that only the bag explains.
+    """
 
+    def __init__(self, files: list[McapFile | RosbagsFile]) -> None:
+        self._files = files
+        counts: Counter[tuple[str, str]] = Counter()
+        for file in files:
+            counts.update(file.counts)
+        self.topics = {topic: BagTopic(topic, kind, n) for (topic, kind), n in counts.items()}
+        rescued = [file.recovered for file in files if file.recovered is not None]
+        self.recovered = sum(rescued) if rescued else None
+        self.typestore: Typestore = get_typestore(Stores.ROS2_JAZZY)
+        for file in files:
+            for name, text in file.definitions.items():
+                if name not in self.typestore.fielddefs:
+                    with contextlib.suppress(*DAMAGE):
+                        self._learn(name, text)
 
-class Source(Protocol):
-    """An opened bag."""
-
-    topics: dict[str, BagTopic]
-    recovered: int | None
-    typestore: Typestore
+    def _learn(self, name: str, text: str) -> None:
+        """Take types over that are not standard; the standard ones are known better here."""
+        types = get_types_from_msg(text, name)
+        known = self.typestore.fielddefs
+        self.typestore.register({k: v for k, v in types.items() if k not in known})
 
     def read(self, topics: Collection[str]) -> Iterator[RawMessage]:
-        """Messages of the topics in stored order."""
+        """Messages of the topics in stored order.
+
+        Raises:
+            BagError: a file is damaged at the place reached.
+        """
+        for file in self._files:
+            yield from file.read(topics)
 
     def close(self) -> None:
-        """Release the file."""
+        """Release the files."""
+        for file in self._files:
+            file.close()
 
 
 def open_source(path: Path) -> Source:
@@ -93,123 +106,100 @@ def open_source(path: Path) -> Source:
     if not path.exists():
         raise BagError(f'no bag at {path}')
     if path.is_dir():
-        _check_directory(path)
-    elif path.suffix == '.bag':
-        raise BagError(
-            f'{path} is a ROS 1 bag: convert it first, rosbags-convert --src {path} --dst DIR'
-        )
-    elif path.suffix not in ('.mcap', '.db3'):
+        return _open_directory(path)
+    if path.suffix == '.bag':
+        raise BagError(f'{path} is a ROS 1 bag: {ROS1_ADVICE}')
+    if path.suffix not in SUFFIXES:
         raise BagError(f'{path} is not a bag: expected a .mcap or .db3 file, or a bag directory')
-    try:
-        return IndexedSource(path)
-    except DAMAGE as error:
-        reason = ' '.join(str(error).split())
-        files = _mcap_files(path)
-        if not files:
-            raise BagError(_sqlite_message(path, reason)) from None
-    return StreamedSource(files, reason)
+    return Source([_open_file(path)])
 
 
-def _check_directory(path: Path) -> None:
-    if (path / 'metadata.yaml').exists():
-        return
-    files = sorted(f.name for f in path.iterdir() if f.suffix in ('.mcap', '.db3'))
-    if not files:
-        raise BagError(f'{path} is not a bag: it holds neither metadata.yaml nor a .mcap or .db3')
-    raise BagError(
-        f'{path} has no metadata.yaml: name its file instead ({path / files[0]}), '
-        f'or restore it with: ros2 bag reindex {path}'
-    )
+def _open_file(path: Path) -> McapFile | RosbagsFile:
+    return McapFile(path) if path.suffix == '.mcap' else RosbagsFile(path)
 
 
-def _mcap_files(path: Path) -> list[Path]:
-    return [path] if path.suffix == '.mcap' and path.is_file() else sorted(path.glob('*.mcap'))
+def _open_directory(path: Path) -> Source:
+    """A bag with metadata as it says; else all files of the folder in the order of their names.
+
+    Raises:
+        BagError: nothing readable is in it.
+    """
+    files: list[Path] = []
+    if (path / METADATA).exists():
+        about = _metadata(path)
+        if about.get('compression_mode', '').lower() in ('file', 'message'):
+            return Source([RosbagsFile(path)])
+        files = [path / name.rsplit('/', 1)[-1] for name in about.get('relative_file_paths', [])]
+        gone = [file.name for file in files if not file.exists()]
+        if gone:
+            raise BagError(f'{path} lacks {", ".join(gone)} of its metadata.yaml')
+    files = files or _files_of(path)
+    if any(file.suffix not in SUFFIXES for file in files):
+        raise BagError(f'{path}: expected .mcap or .db3 files, found {files[0].name}')
+    return Source(_open_files(files))
 
 
-def _sqlite_message(path: Path, reason: str) -> str:
-    files = [path] if path.is_file() else sorted(path.glob('*.db3'))
-    magic = b''
-    if files:
-        with files[0].open('rb') as stream:
-            magic = stream.read(15)
-    if files and magic != b'SQLite format 3':
-        return f'{files[0]} is not a bag: it does not begin like an sqlite3 file'
-    return f'cannot read bag {path} ({reason}): {SQLITE_ADVICE if files else "not a bag"}'
+def _open_files(files: list[Path]) -> list[McapFile | RosbagsFile]:
+    """Those of several files that can be read; the last one of a recording is often empty.
 
-
-class IndexedSource:
-    """A complete bag, read through its index."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
-        self._reader.open()
-        self.recovered: int | None = None
-        self.typestore: Typestore = self._reader.typestore
-        counts: Counter[tuple[str, str]] = Counter()
-        for connection in self._reader.connections:
-            counts[connection.topic, connection.msgtype] += connection.msgcount
-        self.topics = {topic: BagTopic(topic, kind, n) for (topic, kind), n in counts.items()}
-
-    def read(self, topics: Collection[str]) -> Iterator[RawMessage]:
-        """Messages of the topics in log-time order.
-
-        Raises:
-            BagError: the file is damaged at the place reached.
-        """
-        chosen = [c for c in self._reader.connections if c.topic in topics]
-        if not chosen:
-            return
+    Raises:
+        BagError: that of the first file, when none can be read.
+    """
+    opened: list[McapFile | RosbagsFile] = []
+    errors: list[BagError] = []
+    for file in files:
         try:
-            for connection, log_time, raw in self._reader.messages(connections=chosen):
-                yield RawMessage(connection.topic, connection.msgtype, log_time, bytes(raw))
-        except DAMAGE as error:
-            reason = ' '.join(str(error).split())
-            files = _mcap_files(self._path)
-            advice = 'recover it with: mcap recover FILE' if files else SQLITE_ADVICE
-            raise BagError(f'bag {self._path} is damaged ({reason}): {advice}') from None
-
-    def close(self) -> None:
-        """Close the reader."""
-        self._reader.close()
+            opened.append(_open_file(file))
+        except BagError as error:
+            errors.append(error)
+    if not opened:
+        raise errors[0]
+    for found in errors:
+        logger.warning('left out: %s', found)
+    return opened
 
 
-class StreamedSource:
-    """An mcap bag without a usable end: every message before the cut, in file order."""
+def _metadata(path: Path) -> dict[str, Any]:
+    """Content of metadata.yaml; empty, with a warning, where it cannot be used."""
+    try:
+        text = (path / METADATA).read_text('utf-8')
+        about = yaml.safe_load(text)['rosbag2_bagfile_information']
+        version = int(about['version'])
+        paths = [str(name) for name in about['relative_file_paths']]
+        mode = str(about.get('compression_mode') or '')
+    except (yaml.YAMLError, RecursionError, *DAMAGE) as error:
+        logger.warning('%s/%s cannot be used (%s): read without it', path, METADATA,
+                       one_line(error))  # fmt: skip
+        return {}
+    if version > NEWEST_METADATA and not mode:
+        logger.warning('%s/%s has version %d, newer than %d: the files are read without it',
+                       path, METADATA, version, NEWEST_METADATA)  # fmt: skip
+        return {}
+    if version > NEWEST_METADATA:
+        raise BagError(
+            f'{path}/{METADATA} has version {version}, newer than {NEWEST_METADATA}, and its '
+            'files are compressed: decompress them (zstd -d), then name the files'
+        )
+    return {'relative_file_paths': paths, 'compression_mode': mode}
 
-    def __init__(self, files: list[Path], reason: str) -> None:
-        self._files = files
-        types: dict[str, Any] = {}
-        counts: Counter[tuple[str, str]] = Counter()
-        for schema, channel, _ in self._stream(None):
-            name = str(schema.name)
-            if not counts[channel.topic, name] and schema.encoding == 'ros2msg':
-                types.update(get_types_from_msg(schema.data.decode(), name))
-            counts[channel.topic, name] += 1
-        self.recovered: int | None = counts.total()
-        if not self.recovered:
-            raise BagError(f'cannot read bag {files[0]} ({reason}): no complete message in it')
-        self.topics = {topic: BagTopic(topic, kind, n) for (topic, kind), n in counts.items()}
-        self.typestore = get_typestore(Stores.EMPTY)
-        self.typestore.register(types or get_typestore(Stores.ROS2_JAZZY).fielddefs)
 
-    def _stream(self, topics: Collection[str] | None) -> Iterator[tuple[Any, Any, Any]]:
-        for file in self._files:
-            with file.open('rb') as stream:
-                reader = NonSeekingReader(stream)
-                try:
-                    for schema, channel, message in reader.iter_messages(
-                        topics=topics, log_time_order=False
-                    ):
-                        if schema is not None and channel.message_encoding == 'cdr':
-                            yield schema, channel, message
-                except DAMAGE:
-                    continue  # the cut: everything before it has been yielded
+def _files_of(path: Path) -> list[Path]:
+    """Bag files of a folder in the order of their names.
 
-    def read(self, topics: Collection[str]) -> Iterator[RawMessage]:
-        """Messages of the topics up to the cut, in file order."""
-        for schema, channel, message in self._stream(topics):
-            yield RawMessage(channel.topic, schema.name, message.log_time, message.data)
-
-    def close(self) -> None:
-        """Nothing stays open between reads."""
+    Raises:
+        BagError: there is none, or there are files of both kinds.
+    """
+    found = [p for p in path.iterdir() if p.is_file()]
+    files = natsorted(p for p in found if p.suffix in SUFFIXES)
+    kinds = sorted({p.suffix for p in files})
+    if len(kinds) > 1:
+        raise BagError(f'{path} holds .db3 and .mcap files and no {METADATA}: name the file')
+    if files:
+        return files
+    if any(p.suffix == '.bag' for p in found):
+        raise BagError(f'{path} holds a ROS 1 bag: {ROS1_ADVICE}')
+    if any(p.name.endswith(('.mcap.zstd', '.db3.zstd')) for p in found):
+        raise BagError(
+            f'{path} holds compressed files and no {METADATA}: decompress them (zstd -d)'
+        )
+    raise BagError(f'{path} is not a bag: it holds neither {METADATA} nor a .mcap or .db3')

@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from hybridreg_ros.core.pointcloud2 import CloudData
 
 SUFFIX_STORAGE = {'.mcap': 'mcap', '.db3': 'sqlite3'}
+_LAST_NS = 2**31 * NS_PER_S
+"""ROS headers hold whole seconds as int32."""
 _PLUGINS = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 _RELIABLE = Qos(
     QosHistory.KEEP_LAST,
@@ -147,8 +149,14 @@ class BagWriter:
             message: rosbags message object of that type.
 
         Raises:
-            BagError: the disk refuses, or the message does not fit its type.
+            BagError: the disk refuses, the message does not fit its type, or no header holds the
+                stamp.
         """
+        if not 0 <= stamp < _LAST_NS:
+            raise BagError(
+                f'a stamp of {stamp / NS_PER_S:.9g} s cannot be stored: expected 0 to '
+                f'{_LAST_NS // NS_PER_S} s'
+            )
         raw = self._typestore.serialize_cdr(message, msgtype)
         self.write_raw(topic, msgtype, stamp, raw)
 

@@ -9,12 +9,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from natsort import natsorted
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import FileFormatError
 from hybridreg_ros.core.pointcloud2 import from_arrays
 from hybridreg_ros.core.scan import NS_PER_S
+from hybridreg_ros.data.loaders.columns import read_bin
 from hybridreg_ros.data.loaders.depth_images import organised_points, read_depth_m, read_intrinsics
+from hybridreg_ros.data.loaders.posed_frames import rigid
 from hybridreg_ros.data.loaders.tum import CAMERAS, UNITS_PER_M, USUAL_CAMERA
 from hybridreg_ros.replay import trajectory_io
 from hybridreg_ros.replay.recording import EPOCH_S, RecordedFrame
@@ -46,6 +49,7 @@ class ConvertOptions:
         stride: take every n-th frame.
         pixel_step: of a depth image, take every n-th row and column.
         max_depth_m: farther pixels are missing, metres.
+        columns: values per point of a scan; None tells it by those of the first scan.
     """
 
     poses: Path | None = None
@@ -53,6 +57,7 @@ class ConvertOptions:
     stride: int = 1
     pixel_step: int = 1
     max_depth_m: float = 10.0
+    columns: int | None = None
 
 
 @dataclass(frozen=True)
@@ -91,7 +96,7 @@ def open_recording(kind: str, folder: Path, options: ConvertOptions) -> Recordin
 
 
 def _kitti(folder: Path, options: ConvertOptions) -> Recording:
-    scans = sorted((folder / 'velodyne').glob('*.bin')) or sorted(folder.glob('*.bin'))
+    scans = natsorted((folder / 'velodyne').glob('*.bin')) or natsorted(folder.glob('*.bin'))
     if not scans:
         raise FileFormatError(f'{folder} holds no scans: expected velodyne/*.bin')
     poses = _kitti_poses(folder, options.poses)
@@ -99,16 +104,13 @@ def _kitti(folder: Path, options: ConvertOptions) -> Recording:
     if poses is not None and len(poses) != len(scans):
         raise FileFormatError(f'{folder} has {len(scans)} scans but {len(poses)} poses')
     chosen = range(0, len(scans), options.stride)
+    columns = options.columns or read_bin(scans[0]).shape[1]
 
     def read(number: int) -> RecordedFrame:
         i = chosen[number]
-        raw = np.fromfile(scans[i], dtype='<f4')
-        if len(raw) % 4:
-            raise FileFormatError(
-                f'{scans[i]} is cut off: {raw.nbytes} bytes are not a multiple of 16 (x y z i)'
-            )
-        table = raw.reshape(-1, 4)
-        cloud = from_arrays(table[:, :3], {'intensity': table[:, 3].copy()})
+        table = read_bin(scans[i], columns)
+        extra = {'intensity': table[:, 3].copy()} if columns > 3 else None
+        cloud = from_arrays(table[:, :3], extra)
         return RecordedFrame(stamps[i], LIDAR_FRAME, cloud, None if poses is None else poses[i])
 
     return Recording(len(chosen), 0 if poses is None else len(chosen), read)
@@ -140,15 +142,26 @@ def _kitti_poses(folder: Path, given: Path | None) -> NDArray[np.float64] | None
 
 
 def _tr_of(path: Path) -> NDArray[np.float64]:
-    for line in path.read_text('utf-8').splitlines():
+    for line in trajectory_io.text_of(path).splitlines():
         name, _, values = line.partition(':')
         if name.strip() in ('Tr', 'Tr_velo_to_cam', 'Tr_velo_cam'):
-            numbers = [float(v) for v in values.split()]
-            if len(numbers) == 12:
-                T = np.eye(4)
-                T[:3] = np.reshape(numbers, (3, 4))
-                return se3.orthonormalise(T)
+            return _rigid_of(values, 12, f'{path} {name.strip()}')
     raise FileFormatError(f'{path}: expected a row "Tr:" with 12 numbers')
+
+
+def _rigid_of(text: str, count: int, what: str) -> NDArray[np.float64]:
+    """Transform (4, 4) of 12 or 16 numbers.
+
+    Raises:
+        FileFormatError: they are others, or no rigid transform; `what` names them.
+    """
+    try:
+        numbers = [float(v) for v in text.split()]
+    except ValueError as error:
+        raise FileFormatError(f'{what}: {error}') from None
+    if len(numbers) != count:
+        raise FileFormatError(f'{what}: expected {count} numbers, found {len(numbers)}')
+    return rigid(np.array(numbers), what)
 
 
 def _kitti_stamps(folder: Path, count: int, rate_hz: float) -> list[int]:
@@ -168,7 +181,7 @@ def _stamp_of(number: int, rate_hz: float) -> int:
 
 
 def _depth(folder: Path, options: ConvertOptions) -> Recording:
-    images = sorted(folder.glob('*depth*.png')) or sorted((folder / 'depth').glob('*.png'))
+    images = natsorted(folder.glob('*depth*.png')) or natsorted(folder.glob('depth/*.png'))
     if not images:
         raise FileFormatError(
             f'{folder} holds no depth images: expected *depth*.png or depth/*.png'
@@ -213,13 +226,10 @@ def _pose_beside(image: Path) -> NDArray[np.float64] | None:
     path = image.with_name(re.sub(r'[.\-_]?depth[.\-_]?', '', image.stem) + '.pose.txt')
     if not path.exists():
         return None
-    try:
-        T = np.array([float(v) for v in path.read_text('utf-8').split()])
-    except ValueError as error:
-        raise FileFormatError(f'{path}: {error}') from None
-    if T.shape != (16,):
-        raise FileFormatError(f'{path}: expected 16 numbers, found {len(T)}')
-    return se3.orthonormalise(T.reshape(4, 4)) if np.isfinite(T).all() else None
+    text = trajectory_io.text_of(path)
+    if {'nan', 'inf', '-inf'}.intersection(text.lower().split()):
+        return None
+    return _rigid_of(text, 16, str(path))
 
 
 def _tum(folder: Path, options: ConvertOptions) -> Recording:

@@ -15,6 +15,7 @@ import numpy as np
 from hybridreg_ros.core import provenance
 from hybridreg_ros.core.pointcloud2 import with_field
 from hybridreg_ros.metrics import mask, trajectory
+from hybridreg_ros.metrics.extrinsic import other_body
 from hybridreg_ros.replay.bag_writer import BagWriter
 from hybridreg_ros.replay.runner import DYNAMIC_THRESHOLD
 from hybridreg_ros.replay.trajectory_io import tum_row
@@ -91,11 +92,13 @@ class Scores:
         trajectory: None without truth.
         mask: None without labels.
         note: why something could not be scored, '' when all was.
+        warning: what makes the scores doubtful, '' for nothing.
     """
 
     trajectory: trajectory.TrajectoryScore | None = None
     mask: mask.MaskScore | None = None
     note: str = ''
+    warning: str = ''
 
 
 def score_log(log: ReplayLog, truth: Trajectory | None) -> Scores:
@@ -112,7 +115,8 @@ def score_log(log: ReplayLog, truth: Trajectory | None) -> Scores:
     estimate = log.trajectory()
     if len(estimate) < 2:
         return Scores(None, mask_score, f'{len(estimate)} poses are too few to score')
-    return Scores(trajectory.score(estimate, truth), mask_score)
+    warning = other_body(estimate, truth, trajectory.DEFAULT_TOLERANCE_S)
+    return Scores(trajectory.score(estimate, truth), mask_score, '', warning)
 
 
 def stage_times(frames: Sequence[FrameLog]) -> dict[str, dict[str, float]]:
@@ -152,6 +156,7 @@ def metrics_of(
         'drops': log.drops,
         'interrupted': log.interrupted,
         'notes': log.notes,
+        'point_times': dict(log.times_from),
         'sources': log.sources(),
         'reasons': {r: sum(f.reason == r for f in frames) for r in sorted(seen)},
         'confidence_mean': float(confidence.mean()) if len(confidence) else None,
@@ -159,6 +164,7 @@ def metrics_of(
         'trajectory': scores.trajectory,
         'mask': scores.mask,
         'not_scored': scores.note,
+        'warning': scores.warning,
         'time_ms': stage_times(frames),
         'wall_s': log.wall_s,
         'per_frame': [_frame_row(f) for f in frames],
@@ -175,6 +181,7 @@ def _frame_row(frame: FrameLog) -> dict[str, Any]:
         'confidence': frame.confidence,
         'points': frame.points,
         'invalid': frame.invalid,
+        'near': frame.near,
         'dynamic': frame.dynamic,
         'accepted': frame.accepted,
         'total_ms': 1000.0 * frame.seconds.get('total', float('nan')),

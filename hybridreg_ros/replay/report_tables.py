@@ -130,6 +130,8 @@ def notices(log: ReplayLog, scores: Scores) -> str:
         texts.append(f'This run ended early: {log.interrupted}.')
     if log.drops:
         texts.append(f'{len(log.drops)} clouds were not used; they are listed below.')
+    if scores.warning:
+        texts.append(f'{scores.warning}.')
     if scores.note:
         texts.append(f'No trajectory score: {scores.note}.')
     return ''.join(f'<p class="notice">{escape(text)}</p>' for text in texts)

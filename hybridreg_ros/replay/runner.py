@@ -5,8 +5,9 @@
 from __future__ import annotations
 
 import logging
+import re
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -61,6 +62,7 @@ class FrameLog:
         confidence: P(pose right), NaN when unknown.
         points: valid points.
         invalid: rows with NaN or inf that were left out.
+        near: rows without a return, or nearer than the sensor can see, that were left out.
         dynamic: points whose dynamic probability reaches the threshold.
         accepted: False when the front end refused the scan; its pose repeats the last one.
         seconds: time per stage.
@@ -74,6 +76,7 @@ class FrameLog:
     confidence: float = float('nan')
     points: int = 0
     invalid: int = 0
+    near: int = 0
     dynamic: int = 0
     accepted: bool = True
     seconds: Mapping[str, float] = field(default_factory=dict)
@@ -103,6 +106,7 @@ class ReplayLog:
         interrupted: why the run ended early, '' when it did not.
         wall_s: duration of the run.
         notes: what a reader of the results must know, one line each.
+        times_from: what per-point times were made from, or why there are none; scans of each.
     """
 
     frames: list[FrameLog] = field(default_factory=list)
@@ -110,6 +114,7 @@ class ReplayLog:
     interrupted: str = ''
     wall_s: float = 0.0
     notes: list[str] = field(default_factory=list)
+    times_from: Counter[str] = field(default_factory=Counter)
 
     def trajectory(self) -> Trajectory:
         """Poses of the accepted frames, (N, 4, 4), strictly increasing in time."""
@@ -119,6 +124,16 @@ class ReplayLog:
             np.array(stamps, dtype=np.int64),
             np.array([poses[s] for s in stamps], dtype=np.float64).reshape(-1, 4, 4),
         )
+
+    @property
+    def useless(self) -> str:
+        """Why the run gave no pose at all, '' when it gave one."""
+        if any(f.accepted and f.source != 'lost' for f in self.frames):
+            return ''
+        taken = [f.reason for f in self.frames if f.accepted]
+        seen = Counter([d.reason for d in self.drops] + taken)
+        reasons = ', '.join(f'{n} x {reason}' for reason, n in seen.most_common(3) if reason)
+        return f'no cloud gave a pose ({reasons or "the bag holds none"})'
 
     def mask_counts(self) -> MaskCounts | None:
         """Sum over the frames with labels, None when there is none."""
@@ -163,7 +178,8 @@ def log_frame(
         reason=str(result.reason.value),
         confidence=float(result.confidence),
         points=len(result.scan),
-        invalid=result.scan.dropped,
+        invalid=result.scan.dropped - result.scan.near,
+        near=result.scan.near,
         dynamic=int(called.sum()),
         accepted=result.accepted,
         seconds=dict(result.timings_s),
@@ -199,6 +215,7 @@ def run(
     log = ReplayLog()
     start = time.perf_counter()
     outputs = tuple(sinks)
+    remarks: dict[str, list[str]] = defaultdict(list)
     try:
         for number, frame in enumerate(frames):
             if stop():
@@ -208,6 +225,8 @@ def run(
                 continue
             if max_frames is not None and len(log.frames) + len(log.drops) >= max_frames:
                 break
+            if frame.scan is not None:
+                _tell_times(frame.scan, log, remarks)
             line = _one(frame, front_end, outputs, log, threshold)
             if tick is not None:
                 tick(line)
@@ -216,7 +235,18 @@ def run(
     except BagError as error:
         log.interrupted = str(error)
     log.wall_s = time.perf_counter() - start
+    for notes in remarks.values():
+        log.notes.append(f'in {len(notes)} of {len(log.frames)} clouds: {notes[0]}')
     return log
+
+
+def _tell_times(scan: Scan, log: ReplayLog, remarks: dict[str, list[str]]) -> None:
+    """Keep what a scan says of its per-point times; notes that differ in numbers are one kind."""
+    if scan.times_from not in log.times_from:
+        logger.info('per-point times: %s', scan.times_from)
+    log.times_from[scan.times_from] += 1
+    for note in scan.notes:
+        remarks[re.sub(r'\d+', '', note)].append(note)
 
 
 def _one(

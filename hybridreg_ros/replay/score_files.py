@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING
 
 from hybridreg_ros.core.pointcloud2 import field_values, has_field
 from hybridreg_ros.metrics import mask, trajectory
-from hybridreg_ros.replay.bag_reader import ODOMETRY, open_bag
+from hybridreg_ros.metrics.extrinsic import extrinsic_of, follow, other_body
+from hybridreg_ros.replay.bag_reader import POSES, open_bag
 from hybridreg_ros.replay.outputs import DYNAMIC_TOPIC, ODOM_TOPIC, STATIC_TOPIC, Scores
 from hybridreg_ros.replay.runner import LABEL_FIELD
 from hybridreg_ros.replay.trajectory_io import read_trajectory
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from hybridreg_ros.metrics.trajectory import Trajectory
@@ -28,11 +30,11 @@ def is_bag(path: Path) -> bool:
 
 
 def load_poses(path: Path, topic: str | None, usual: str) -> Trajectory:
-    """Trajectory of a TUM or KITTI file, or of an Odometry topic of a bag.
+    """Trajectory of a TUM or KITTI file, or of a topic of a bag with poses.
 
     Args:
         path: file or bag.
-        topic: topic asked for; None takes `usual`, or the only Odometry topic there is.
+        topic: topic asked for; None takes `usual`, or the only topic with poses there is.
         usual: topic preferred.
 
     Raises:
@@ -43,8 +45,8 @@ def load_poses(path: Path, topic: str | None, usual: str) -> Trajectory:
         return read_trajectory(path)
     with open_bag(path) as bag:
         if topic is None:
-            odometry = [t.name for t in bag.topics.values() if t.msgtype == ODOMETRY]
-            topic = odometry[0] if len(odometry) == 1 else usual
+            found = [t.name for t in bag.topics.values() if t.msgtype in POSES]
+            topic = found[0] if len(found) == 1 else usual
         return bag.trajectory(topic)
 
 
@@ -80,23 +82,30 @@ def score_paths(
     topic: str | None = None,
     ref_topic: str | None = None,
     tolerance_s: float = trajectory.DEFAULT_TOLERANCE_S,
+    extrinsic: Sequence[float] | None = None,
 ) -> Scores:
     """Score a recorded estimate against a reference.
 
     Args:
-        estimate: TUM or KITTI file, or a bag with Odometry (and labelled clouds).
-        reference: TUM or KITTI file, or a bag with Odometry.
-        topic: Odometry topic of the estimate.
-        ref_topic: Odometry topic of the reference.
+        estimate: TUM or KITTI file, or a bag with poses (and labelled clouds).
+        reference: TUM or KITTI file, or a bag with poses.
+        topic: topic of the estimate's poses.
+        ref_topic: topic of the reference's poses.
         tolerance_s: largest difference of stamps, seconds.
+        extrinsic: pose x y z qx qy qz qw of the body estimated in that of the reference.
+
+    Raises:
+        BagError, FileFormatError: what a file holds cannot be used.
+        ConfigError: the extrinsic is no pose.
     """
-    score = trajectory.score(
-        load_poses(estimate, topic, ODOM_TOPIC),
-        load_poses(reference, ref_topic, '/ground_truth/odom'),
-        tolerance_s,
-    )
+    poses = load_poses(estimate, topic, ODOM_TOPIC)
+    truth = load_poses(reference, ref_topic, '/ground_truth/odom')
+    if extrinsic is not None:
+        truth = follow(truth, extrinsic_of(extrinsic))
+    score = trajectory.score(poses, truth, tolerance_s)
+    warning = other_body(poses, truth, tolerance_s)
     counts = None
     if is_bag(estimate):
         with open_bag(estimate) as bag:
             counts = mask_counts(bag)
-    return Scores(score, None if counts is None else mask.score(counts))
+    return Scores(score, None if counts is None else mask.score(counts), '', warning)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from hybridreg_ros.core.config import load_yaml, to_dict
 from hybridreg_ros.core.pages import one_heap
+from hybridreg_ros.metrics.extrinsic import extrinsic_of, follow
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.replay import outputs, runner
 from hybridreg_ros.replay.bag_reader import open_bag
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
     from hybridreg_ros.metrics.trajectory import Trajectory
     from hybridreg_ros.odometry.frontend import HybridOdometry
+    from hybridreg_ros.replay.bag_reader import Bag
     from hybridreg_ros.replay.pictures import FrameView
     from hybridreg_ros.replay.runner import FrameLog, ReplayLog
 
@@ -38,8 +40,10 @@ class Job:
         config: settings of the front end.
         weights: checkpoint, None for the packaged one.
         topic: PointCloud2 topic, None for the only one.
-        truth_topic: Odometry topic with true poses, None for /ground_truth/odom.
+        truth_topic: topic with true poses, None for /ground_truth/odom.
+        extrinsic: pose x y z qx qy qz qw of the sensor in the body of the true poses, None = same.
         time_unit: unit of per-point times.
+        time_field: field of per-point times, '' = by the usual names.
         stride: take every n-th cloud.
         max_frames: stop after so many.
         clouds: write dynamic and static clouds into dynamic.mcap.
@@ -51,7 +55,9 @@ class Job:
     weights: Path | None = None
     topic: str | None = None
     truth_topic: str | None = None
+    extrinsic: tuple[float, ...] | None = None
     time_unit: str = 'auto'
+    time_field: str = ''
     stride: int = 1
     max_frames: int | None = None
     clouds: bool = True
@@ -83,6 +89,19 @@ def open_front_end(config: OdometryConfig, weights: Path | None) -> HybridOdomet
     from hybridreg_ros.model.register import HybridReg
 
     return HybridOdometry(config, model=HybridReg.from_pretrained(weights))
+
+
+def truth_of(job: Job, bag: Bag) -> Trajectory | None:
+    """True poses of the sensor, None without.
+
+    Raises:
+        BagError: the topic asked for is not there, or of another type.
+        ConfigError: the extrinsic is no pose.
+    """
+    truth = bag.ground_truth(job.truth_topic)
+    if truth is None or job.extrinsic is None:
+        return truth
+    return follow(truth, extrinsic_of(job.extrinsic))
 
 
 def planned_frames(job: Job) -> tuple[str, int]:
@@ -117,13 +136,14 @@ def replay(job: Job, tick: Callable[[FrameLog | None], None] | None = None) -> R
     album = Album(count, threshold=threshold)
     with contextlib.ExitStack() as stack:
         bag = stack.enter_context(open_bag(job.bag))
-        truth = bag.ground_truth(job.truth_topic)
+        truth = truth_of(job, bag)
         tum = stack.enter_context(contextlib.closing(outputs.TumFile(job.out / 'odometry.tum')))
         made = outputs.OutputBag(job.out / 'dynamic.mcap', job.clouds, threshold)
         stack.enter_context(contextlib.closing(made))
         stop = stack.enter_context(StopRequest())
+        frames = bag.frames(topic, job.time_unit, job.time_field)
         log = runner.run(
-            bag.frames(topic, job.time_unit),
+            (f if f.scan is None else f._replace(scan=front_end.seen(f.scan)) for f in frames),
             front_end,
             (tum, made, album),
             job.stride,

@@ -54,6 +54,7 @@ class Snapshot:
         latency_s: median seconds from arrival to publication.
         worst_latency_s: largest of the last 50.
         invalid_points: rows with NaN or inf so far.
+        near_points: rows without a return, or nearer than the sensor can see, so far.
         source: branch of the last result, None before the first.
         reason: why that branch.
         confidence: of the last result.
@@ -61,6 +62,7 @@ class Snapshot:
         load: of the last result; above 0 less is done per cloud.
         last_switch: one line about the last change of source.
         note: remark of the decoder about per-point times, '' for none.
+        times_from: field and unit of the per-point times in use, or why there are none.
         timings_s: seconds per stage of the last result.
     """
 
@@ -76,6 +78,7 @@ class Snapshot:
     latency_s: float
     worst_latency_s: float
     invalid_points: int
+    near_points: int
     source: Source | None
     reason: Reason
     confidence: float
@@ -83,6 +86,7 @@ class Snapshot:
     load: int
     last_switch: str
     note: str
+    times_from: str
     timings_s: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -101,6 +105,7 @@ class Monitor:
         self._received = 0
         self._processed = 0
         self._invalid = 0
+        self._near = 0
         self._since = time.monotonic()
         self._result: OdometryResult | None = None
         self._switch = 'none'
@@ -130,7 +135,8 @@ class Monitor:
         line = ''
         with self._lock:
             self._processed += 1
-            self._invalid += result.scan.dropped
+            self._invalid += result.scan.dropped - result.scan.near
+            self._near += result.scan.near
             self._note = '; '.join(result.scan.notes)
             if result.reason in POOR or result.source is Source.LOST:
                 self._poor[result.reason.value] += 1
@@ -180,6 +186,7 @@ class Monitor:
                 latency_s=latencies[len(latencies) // 2],
                 worst_latency_s=latencies[-1],
                 invalid_points=self._invalid,
+                near_points=self._near,
                 source=None if result is None else result.source,
                 reason=Reason.OK if result is None else result.reason,
                 confidence=0.0 if result is None else result.confidence,
@@ -187,5 +194,6 @@ class Monitor:
                 load=0 if result is None else result.load,
                 last_switch=self._switch,
                 note=self._note,
+                times_from='none yet' if result is None else result.scan.times_from,
                 timings_s={} if result is None else dict(result.timings_s),
             )

@@ -70,6 +70,9 @@ class NodeConfig:
         'unit of per-point times; normalised = share of scan_period_s, none = ignore them',
         choices=('auto', 's', 'ms', 'us', 'ns', 'normalised', 'none'),
     )
+    time_field: str = option(
+        '', "field with the per-point times; '' = the first usable one of the usual names"
+    )
     scan_period_s: float = option(
         0.1, 'duration that a normalised time of 1 stands for, seconds', low=0.001, high=10.0
     )

@@ -71,6 +71,7 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
             self._outputs.publish_odometry,
             self._outputs.publish,
             self._warn,
+            self.get_logger().info,
         )
         self._triggers = [
             self.create_service(Trigger, topics.RESET.name, self._on_reset),

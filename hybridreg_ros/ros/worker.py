@@ -17,6 +17,7 @@ from hybridreg_ros.ros.monitor import Drop, Monitor
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from hybridreg_ros.core.scan import Scan
     from hybridreg_ros.odometry.frontend import HybridOdometry
     from hybridreg_ros.odometry.result import OdometryResult, Rest
     from hybridreg_ros.ros.node_config import NodeConfig
@@ -40,6 +41,7 @@ class Worker:
         publish_odometry: Callable[[OdometryResult], None],
         publish: Callable[[Any, OdometryResult], None],
         warn: Callable[[str, str], None],
+        say: Callable[[str], object] = lambda _: None,
     ) -> None:
         """Prepare; nothing runs until `start`.
 
@@ -50,12 +52,15 @@ class Worker:
             publish_odometry: called in this thread as soon as the pose of a cloud is known.
             publish: called in this thread with the message and its result, mask included.
             warn: logs cause and text as one line.
+            say: logs a line that is no warning.
         """
         self._front_end = front_end
         self._monitor = monitor
         self._publish_odometry = publish_odometry
         self._publish = publish
         self._warn = warn
+        self._say = say
+        self._times_from = ''
         self._queue: FrameQueue[Arrival] = FrameQueue(depth=1)
         self._busy = threading.Lock()
         self._behind = False
@@ -77,7 +82,7 @@ class Worker:
 
     def configure(self, config: NodeConfig) -> None:
         """Take queue depth, drop policy and unit of per-point times from a config."""
-        self._times = (config.time_unit, config.scan_period_s)
+        self._times = (config.time_unit, config.scan_period_s, config.time_field)
         gone = self._queue.configure(config.queue_depth, config.drop_policy == 'oldest')
         if gone:
             self._monitor.dropped(Drop.QUEUE_FULL, 'queue_depth was reduced', gone)
@@ -132,7 +137,8 @@ class Worker:
 
     def _handle(self, arrival: Arrival) -> None:
         try:
-            scan = to_scan(arrival.message, *self._times)
+            scan = self._front_end.seen(to_scan(arrival.message, *self._times))
+            self._tell_times(scan)
             behind, self._behind = self._behind, False
             result, rest = self._front_end.locate(scan, behind)
         except HybridRegError as error:
@@ -166,6 +172,14 @@ class Worker:
                 self._monitor.dropped(Drop.INTERNAL_ERROR, 'see the traceback on stderr')
                 self._completer = self._new_completer()
                 self._completer.start()
+
+    def _tell_times(self, scan: Scan) -> None:
+        """Log which per-point times are used when that changes, and what is odd in the cloud."""
+        if len(scan) and scan.times_from != self._times_from:
+            self._times_from = scan.times_from
+            self._say(f'per-point times: {scan.times_from}')
+        for note in scan.notes:
+            self._warn('cloud', note)
 
     def _posed(self, arrived_s: float, result: OdometryResult) -> None:
         """Publish a pose before mask and map are made."""

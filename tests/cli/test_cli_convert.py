@@ -119,11 +119,69 @@ def test_broken_kitti_folders(
     chosen = [*arguments, '--poses', str(kitti / 'poses_b.txt')]
     (kitti / 'calib.txt').write_text('P0: 1\n')
     assert 'expected a row "Tr:" with 12 numbers' in failure(capsys, chosen)
+    for text, message in (
+        ('Tr: 1 0 0 x', 'calib.txt Tr: could not convert'),
+        ('Tr: 1 0 0', 'calib.txt Tr: expected 12 numbers, found 3'),
+        ('Tr: 9 0 0 0 0 1 0 0 0 0 1 0', 'calib.txt Tr: expected a rigid 4x4 transform'),
+    ):
+        (kitti / 'calib.txt').write_text(text)
+        assert message in failure(capsys, chosen)
     (kitti / 'calib.txt').unlink()
     scan = kitti / 'velodyne' / '000002.bin'
     scan.write_bytes(scan.read_bytes()[:-4])
-    assert '000002.bin is cut off' in failure(capsys, chosen)
+    assert '000002.bin is not a readable .bin cloud: 828 bytes' in failure(capsys, chosen)
     assert not list(tmp_path.glob('*o.mcap*')), 'an unfinished bag was left behind'
+
+
+def test_unpadded_numbers_keep_their_order(tmp_path: Path) -> None:
+    """0.bin to 11.bin go with rows 0 to 11 of the poses; so do depth images."""
+    truth = poses(12)
+    (tmp_path / 'k').mkdir()
+    (tmp_path / 'k' / 'poses.txt').write_text(rows(truth))
+    for i in range(12):
+        np.full((5, 4), i + 1, '<f4').tofile(tmp_path / 'k' / f'{i}.bin')
+        write_depth(tmp_path / 'd' / f'depth{i}.png', np.full((6, 8), 500 * (i + 1), np.uint16))
+    (tmp_path / 'd' / 'camera-intrinsics.txt').write_text('10 0 4\n0 20 3\n0 0 1\n')
+    for kind, folder, step, first in (('kitti', 'k', 1.0, 1.0), ('depth', 'd', 0.5, 0.5)):
+        out = str(tmp_path / f'{folder}.mcap')
+        assert main(['convert', kind, str(tmp_path / folder), '--out', out]) == 0
+        with open_bag(out) as bag:
+            frames, found = list(bag.frames()), bag.ground_truth()
+        assert [f.scan.points[0, 2] for f in frames if f.scan] == [
+            first + step * i for i in range(12)
+        ]
+        if kind == 'kitti':
+            assert found is not None
+            np.testing.assert_allclose(found.poses, truth, atol=1e-9)
+
+
+def test_kitti_layout_of_five_columns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Scans as nuScenes stores them (x y z intensity ring), 4 dividing their size."""
+    (tmp_path / 'k').mkdir()
+    tables = []
+    for i in range(2):
+        rng = np.random.default_rng(i)
+        xyz = rng.uniform([-40, -40, -2], [40, 40, 4], (400, 3))
+        rest = [rng.uniform(0, 255, 400).round(), np.arange(400) % 32]
+        tables.append(np.column_stack([xyz, *rest]).astype('<f4'))
+        tables[-1].tofile(tmp_path / 'k' / f'{i}.pcd.bin')
+    arguments = [
+        'convert',
+        'kitti',
+        str(tmp_path / 'k'),
+        '--overwrite',
+        '--out',
+        str(tmp_path / 'a.db3'),
+    ]
+    for more in ([], ['--columns', '5']):
+        assert main([*arguments, *more]) == 0
+        with open_bag(tmp_path / 'a.db3') as bag:
+            frames = list(bag.frames())
+        for frame, table in zip(frames, tables, strict=True):
+            assert frame.scan is not None
+            assert np.array_equal(frame.scan.points, table[:, :3])
+            assert np.array_equal(field_values(frame.message, 'intensity'), table[:, 3])
+    assert '8000 bytes are not a multiple of 28' in failure(capsys, [*arguments, '--columns', '7'])
 
 
 def write_depth(path: Path, raw: NDArray[np.uint16]) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tiny_bags import PERIOD, START, room_cloud, sensor_pose, write_room_bag
+from tiny_bags import PERIOD, START, cloud_bytes, room_cloud, sensor_pose, write_room_bag
 
 from hybridreg_ros.cli.main import main
 from hybridreg_ros.core.pointcloud2 import CloudData, from_arrays
@@ -61,6 +61,60 @@ def test_files_and_scores(replayed: Path, room_bag: Path) -> None:
     assert len(provenance['inputs'][room_bag.name]) == 64
     assert provenance['versions']['numpy'] == np.__version__
     assert {'git_hash', 'python', 'machine'} <= set(provenance)
+
+
+def test_point_times_are_used_or_it_is_said_why(tmp_path: Path) -> None:
+    """A driver's own name, one point of another scan; and a field asked for that is not there."""
+    bag_path, result = tmp_path / 'a.mcap', tmp_path / 'r.json'
+    rng = np.random.default_rng(3)
+    with BagWriter(bag_path) as bag:
+        for i in range(4):
+            points = rng.uniform(-5, 5, (3000, 3))
+            offset = np.linspace(0, 1e8, 3000).astype(np.uint32)
+            offset[9] = 3_600_000_000
+            cloud = from_arrays(points, {'point_time_offset': offset})
+            bag.write_cloud('/points', START + i * PERIOD, 'lidar', cloud)
+    arguments = [
+        'replay',
+        str(bag_path),
+        '--out',
+        str(tmp_path / 'o'),
+        '--json',
+        str(result),
+        *KISS,
+    ]
+    assert main(arguments) == 0
+    metrics = json.loads(result.read_text())
+    assert metrics['point_times'] == {'point_time_offset (ns)': 4}
+    assert [row['invalid'] for row in metrics['per_frame']] == [1, 1, 1, 1]
+    note = 'field point_time_offset: 1 points left out whose times are not those of the scan'
+    assert f'in 4 of 4 clouds: {note}' in metrics['notes']
+    assert main([*arguments, '--time-field', 'when']) == 0
+    metrics = json.loads(result.read_text())
+    assert metrics['point_times'] == {'none: no field when': 4}
+    assert 'in 4 of 4 clouds: no field when in: x, y, z, point_time_offset' in metrics['notes']
+
+
+def test_no_return_is_in_no_output(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / 'a.mcap') as bag:
+        for i in range(3):
+            walls = np.random.default_rng(i).uniform(-5, 5, (3000, 3))
+            walls[np.arange(3000), np.arange(3000) % 3] = 5.0
+            points = np.concatenate([np.zeros((2000, 3)), walls, np.full((50, 3), 0.2)])
+            cloud = from_arrays(points, {'label': (points[:, 0] == 0.2).astype(np.uint8)})
+            bag.write_cloud('/points', START + i * PERIOD, 'lidar', cloud)
+    out = tmp_path / 'o'
+    assert main(['replay', str(tmp_path / 'a.mcap'), '--out', str(out), *KISS]) == 0
+    metrics = json.loads((out / 'metrics.json').read_text())
+    rows = metrics['per_frame']
+    assert [(r['points'], r['near'], r['invalid']) for r in rows] == [(3000, 2050, 0)] * 3
+    counts = metrics['mask']['counts']
+    assert counts['fp'] + counts['tn'] == 9000
+    with open_bag(out / 'dynamic.mcap') as bag:
+        topics = ('/hybridreg/static_points', '/hybridreg/dynamic_points')
+        parts = [s.points for topic in topics for s in bag.scans(topic)]
+    assert sum(map(len, parts)) == 9000
+    assert min(np.linalg.norm(p, axis=1).min() for p in parts if len(p)) >= 0.5
 
 
 def test_odometry_file_is_exact_and_evo_reads_it(replayed: Path, tmp_path: Path) -> None:
@@ -179,6 +233,38 @@ def test_broken_clouds_are_dropped_and_counted(
     assert 'Clouds not used' in (out / 'report.html').read_text('utf-8')
 
 
+def test_nothing_usable_is_a_failure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every cloud broken, or without any return: results are written, the exit code says no."""
+    good = room_cloud(0)
+    for name, cloud, text in (
+        ('cut', CloudData(**{**vars(good), 'data': good.data[:99]}), '3 x truncated data'),
+        ('empty', from_arrays(np.zeros((0, 3), np.float32)), '3 x too_few_points'),
+        ('mm', from_arrays(1000.0 * np.random.default_rng(0).normal(size=(3000, 3)) * 5),
+         '3 x too_few_points'),
+    ):  # fmt: skip
+        with BagWriter(tmp_path / f'{name}.mcap') as bag:
+            for i in range(3):
+                bag.write_cloud('/points', START + i * PERIOD, 'lidar', cloud)
+        out = tmp_path / name
+        line = failure(
+            capsys, ['replay', str(tmp_path / f'{name}.mcap'), '--out', str(out), *KISS]
+        )
+        assert f'no cloud gave a pose ({text}' in line
+        notes = json.loads((out / 'metrics.json').read_text())['notes']
+        assert any('looks like millimetres' in note for note in notes) == (name == 'mm')
+
+
+def test_clouds_without_stamps_are_replayed_by_log_time(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / 'a.mcap') as bag:
+        for topic, time_ns, raw in cloud_bytes(3, stamped=False):
+            bag.write_raw(topic, 'sensor_msgs/msg/PointCloud2', time_ns, raw)
+    out = tmp_path / 'o'
+    assert main(['replay', str(tmp_path / 'a.mcap'), '--out', str(out), *KISS]) == 0
+    metrics = json.loads((out / 'metrics.json').read_text())
+    assert metrics['accepted'] == 3
+    assert metrics['per_frame'][2]['stamp'] == START + 2 * PERIOD
+
+
 def test_bag_without_truth_is_replayed_unscored(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -204,8 +290,6 @@ def test_cut_off_mcap_is_replayed_with_a_warning(
 
 def test_bad_bags_give_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_room_bag(tmp_path / 'two.mcap', 1, topics=('/front', '/rear'))
-    write_room_bag(tmp_path / 'dir', 1)
-    (tmp_path / 'dir' / 'metadata.yaml').unlink()
     (tmp_path / 'no.mcap').write_bytes(b'hello')
     write_room_bag(tmp_path / 'cut.db3', 4)
     data = (tmp_path / 'cut.db3').read_bytes()
@@ -215,7 +299,6 @@ def test_bad_bags_give_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[st
     for name, text in {
         'gone.mcap': 'no bag at',
         'two.mcap': 'choose one with --topic: /front, /rear',
-        'dir': 'has no metadata.yaml',
         'no.mcap': 'cannot read bag',
         'cut.db3': '.recover',
         'odom.mcap': 'has no PointCloud2 topic',

@@ -60,7 +60,7 @@ def packed(points, fields, step, *, big=False, height=1, row_padding=0, extra=No
 )
 def test_every_layout_decodes(code, gap, tail, big, row_padding, height, seed):
     rng = np.random.default_rng(seed)
-    points = rng.integers(0, 100, (6, 3)).astype(float)
+    points = rng.integers(1, 100, (6, 3)).astype(float)
     size = np.dtype(NUMPY_OF_CODE[code]).itemsize
     fields = [Field(a, gap + k * (size + gap), code, 1) for k, a in enumerate('zxy')]
     step = 3 * (size + gap) + gap + tail
@@ -80,6 +80,22 @@ def test_one_mask_for_all_fields():
     assert scan.times is not None
     np.testing.assert_allclose(scan.times, [0.0, 0.03], atol=1e-7)
     assert (len(scan), scan.size, scan.dropped) == (2, 4, 2)
+
+
+def test_no_return_is_left_out_with_one_mask():
+    points = np.array([[1, 2, 3], [0, 0, 0], [np.nan, 0, 0], [0.001, 0, 0], [7, 8, 9]])
+    scan = to_scan(message(from_arrays(points, {'t': np.linspace(0, 0.1, 5)})))
+    np.testing.assert_array_equal(scan.rows, [0, 4])
+    assert scan.times is not None
+    np.testing.assert_allclose(scan.times, [0.0, 0.1])
+    assert (scan.size, scan.dropped, scan.near) == (5, 3, 2)
+    far = scan.beyond(5.0)
+    np.testing.assert_array_equal(far.points, [[7, 8, 9]])
+    np.testing.assert_array_equal(far.rows, [4])
+    assert far.times is not None
+    np.testing.assert_allclose(far.times, [0.1])
+    assert (far.size, far.dropped, far.near) == (5, 4, 3)
+    assert far.beyond(1.0) is far
 
 
 def test_float64_overflowing_float32_is_dropped():
@@ -131,6 +147,83 @@ def test_with_field_keeps_the_input(big, rng):
     assert again.point_step == out.point_step
 
 
+TURN_S = np.linspace(0.0, 0.1, 40)
+EPOCH_S = 1_760_000_000
+SICK_NS = (TURN_S * 1e9).astype(np.int64) + 948_000_000  # a second ends within the scan
+DRIVERS: dict[str, dict[str, np.ndarray]] = {
+    'ouster': {'t': (TURN_S * 1e9).astype(np.uint32)},
+    'velodyne': {'time': TURN_S.astype(np.float32)},
+    'hesai': {'timestamp': TURN_S + EPOCH_S},
+    'robosense': {'timestamp': TURN_S + EPOCH_S, 'ring': np.zeros(40, np.uint16)},
+    'livox': {'timestamp': (TURN_S + EPOCH_S) * 1e9},
+    'livox custom': {'offset_time': (TURN_S * 1e9).astype(np.uint32)},
+    'blickfeld': {'point_time_offset': (TURN_S * 1e9).astype(np.uint32)},
+    'argoverse': {'offset_ns': (TURN_S * 1e9).astype(np.int32)},
+    'lio': {'time_offset': TURN_S.astype(np.float32)},
+    'sick': {
+        'lidar_sec': (EPOCH_S + SICK_NS // 10**9).astype(np.uint32),
+        'lidar_nsec': (SICK_NS % 10**9).astype(np.uint32),
+    },
+    'sick, nanoseconds alone': {'lidar_nsec': (SICK_NS % 10**9).astype(np.uint32)},
+    'sick, microseconds': {'t': (TURN_S * 1e6).astype(np.uint32)},
+    'fast-lio': {'curvature': (TURN_S * 1e3).astype(np.float32)},
+    'list': {'stamps': TURN_S},
+    'capitals': {'Timestamp': TURN_S + EPOCH_S},
+    'first field unused': {'t': np.zeros(40, np.uint32), 'timestamp': TURN_S + EPOCH_S},
+}
+
+
+@pytest.mark.parametrize('driver', DRIVERS)
+def test_times_of_every_driver(driver, rng):
+    fields = DRIVERS[driver]
+    msg = message(from_arrays(rng.normal(size=(40, 3)), fields), EPOCH_S * 10**9)
+    scan = to_scan(msg)
+    assert scan.times is not None
+    first = scan.times[0] if driver.startswith('sick') else 0.0
+    np.testing.assert_allclose(scan.times - first, TURN_S, atol=1e-6)
+    assert scan.times_from.split(' ')[0] in fields
+    assert scan.notes == ()
+
+
+def test_what_is_used_and_why_not(rng):
+    points = rng.normal(size=(40, 3))
+    surface = rng.uniform(0, 0.33, 40).astype(np.float32)
+    scan = to_scan(message(from_arrays(points, {'curvature': surface})))
+    assert scan.times is None, 'the curvature of a surface is no time'
+    assert scan.times_from == 'none: no time field is usable'
+    assert 'field curvature: span' in scan.notes[0]
+    scan = to_scan(message(from_arrays(points, {'intensity': surface})))
+    assert scan.times_from == 'none: no known time field in x, y, z, intensity'
+    msg = message(from_arrays(points, {'when': TURN_S, 't': TURN_S * 2}))
+    assert to_scan(msg).times_from == 't (s)'
+    scan = to_scan(msg, time_field='when')
+    assert scan.times_from == 'when (s)'
+    assert scan.times is not None
+    np.testing.assert_allclose(scan.times, TURN_S)
+    scan = to_scan(msg, time_field='then')
+    assert (scan.times, scan.times_from) == (None, 'none: no field then')
+    assert scan.notes == ('no field then in: x, y, z, when, t',)
+    assert to_scan(msg, time_unit='none').times_from == 'none: time_unit is none'
+
+
+def test_a_point_of_another_scan_is_left_out_of_every_field(rng):
+    t = TURN_S.copy()
+    t[5] = 3.6
+    scan = to_scan(message(from_arrays(rng.normal(size=(40, 3)), {'t': t})))
+    assert (len(scan), scan.dropped) == (39, 1)
+    assert 5 not in scan.rows
+    assert scan.times is not None
+    np.testing.assert_allclose(scan.times, np.delete(TURN_S, 5))
+    assert scan.notes == ('field t: 1 points left out whose times are not those of the scan',)
+
+
+def test_millimetres_are_noted(rng):
+    points = rng.uniform(-8, 8, (200, 3))
+    assert to_scan(message(from_arrays(points))).notes == ()
+    (note,) = to_scan(message(from_arrays(1000.0 * points))).notes
+    assert 'expected metres, this looks like millimetres' in note
+
+
 def good():
     return from_arrays(np.arange(30, dtype=np.float32).reshape(10, 3))
 
@@ -145,7 +238,7 @@ def good():
         ({'row_step': 10}, 'row_step is 10, expected >= '),
         ({'data': np.zeros(7, np.uint8)}, 'truncated data: 1x10 points need 120 bytes, found 7'),
         ({'fields': (Field('x', 0, 9, 1),)}, 'unknown datatype 9'),
-        ({'fields': (Field('x', 0, 7, 1), Field('x', 4, 7, 1))}, 'occurs twice'),
+        ({'fields': (Field('x', 0, 7, 1), Field('x', 4, 7, 1))}, 'lacks field y, z'),
         ({'fields': (Field('x', -4, 7, 1),)}, 'wrong point_step'),
     ],
 )
@@ -155,8 +248,24 @@ def test_broken_layouts_are_one_line(change, text):
     assert '\n' not in str(caught.value)
 
 
+def test_doubled_fields_and_capital_letters_are_read(rng):
+    """The first of two fields of one name counts; both go out again."""
+    points = rng.normal(size=(6, 3))
+    fields = [Field(a, 4 * k, 7, 1) for k, a in enumerate('xyz')]
+    cloud = packed(points, fields, 20)
+    fields += [Field('x', 12, 7, 1), Field('', 16, 7, 1)]
+    msg = message(dataclasses.replace(cloud, fields=tuple(fields)))
+    scan = to_scan(msg)
+    np.testing.assert_array_equal(scan.points, points.astype(np.float32))
+    out = with_field(msg, scan, 'p', np.zeros(6, np.float32), np.ones(6, bool))
+    assert [f.name for f in out.fields] == ['x', 'y', 'z', 'x', '', 'p']
+    fields = [f._replace(name=f.name.upper()) for f in fields[:3]]
+    scan = to_scan(message(dataclasses.replace(cloud, fields=tuple(fields))))
+    np.testing.assert_array_equal(scan.points, points.astype(np.float32))
+
+
 def test_encoder_and_field_errors():
-    points = np.zeros((2, 3), np.float32)
+    points = np.ones((2, 3), np.float32)
     with pytest.raises(PointCloudError, match=r'field a must be \(2,\)'):
         from_arrays(points, {'a': np.zeros(3)})
     with pytest.raises(PointCloudError, match='cannot hold complex'):

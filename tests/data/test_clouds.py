@@ -152,6 +152,9 @@ def test_intrinsics_come_as_matrix_or_four_numbers(tmp_path):
     assert read_intrinsics(path) == Intrinsics(585.0, 580.0, 320.0, 240.0)
     path.write_text('1, 2, 3, 4')
     assert read_intrinsics(path) == Intrinsics(1.0, 2.0, 3.0, 4.0)
+    path.write_text('0 580 320 240')
+    with pytest.raises(FileFormatError, match='expected focal lengths above 0'):
+        read_intrinsics(path)
     path.write_text('1 2 3')
     with pytest.raises(FileFormatError, match='expected 9 or 4 numbers, found 3'):
         read_intrinsics(path)

@@ -73,6 +73,22 @@ def test_kitti_pairs_are_apart_and_agree(kitti):
     assert pair.overlap > 0.9
 
 
+def test_unpadded_numbers_go_with_their_poses(tmp_path):
+    (tmp_path / 'velodyne').mkdir()
+    poses = [exp(np.array([0.5 * k, 0.1 * k, 0, 0, 0, 0.02 * k])) for k in range(12)]
+    for k, T in enumerate(poses):
+        write_cloud(tmp_path / 'velodyne' / f'{k}.bin', seen_from(T))
+    np.savetxt(tmp_path / 'poses.txt', [T[:3].ravel() for T in poses])
+    data = KittiOdometry(tmp_path, distance_m=0.4)
+    assert [f.name for f in data.files] == [f'{k}.bin' for k in range(12)]
+    assert all(agrees(data[k]) for k in range(len(data)))
+    for k, T in enumerate(camera_poses(12)):
+        write_depth(tmp_path / f'frame-{k}.depth.png', wall_depth(T), 1000.0)
+        np.savetxt(tmp_path / f'frame-{k}.pose.txt', T)
+    frames = SevenScenes(tmp_path, step=2)
+    np.testing.assert_allclose(frames.poses, camera_poses(12), atol=1e-9)
+
+
 def test_kitti_poses_of_the_camera_are_moved_to_the_lidar(kitti):
     T_camera_lidar = TURN
     camera = [T_camera_lidar @ T @ inverse(T_camera_lidar) for T in POSES]

@@ -13,7 +13,7 @@ from tiny_world import ROOM, depth_rays, lidar_rays, pose, scans, walk
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import NS_PER_S, Scan
-from hybridreg_ros.odometry.config import LostConfig, OdometryConfig
+from hybridreg_ros.odometry.config import LostConfig, OdometryConfig, PreprocessConfig
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.result import LOST_VARIANCE, OdometryResult, Reason, Source
 from hybridreg_ros.odometry.selection.fallback import Fallback
@@ -244,6 +244,30 @@ def test_absurd_coordinates_change_nothing() -> None:
 def test_only_absurd_coordinates_are_too_few_points() -> None:
     cloud = Scan(np.full((1000, 3), 1e9, np.float32), stamp=1.0)
     assert is_lost(run([cloud])[0])
+
+
+def test_what_the_sensor_cannot_see_is_left_out() -> None:
+    """By the sensor's own limit (a lidar's 0.5 m) from the first scan on, or by the setting."""
+    cloud = scans(walk(1), RAYS)[0]
+    near = np.array([[0.1, 0, 0], [0, 0.3, 0.3], [0, 0, 0]], np.float32)
+    dirty = with_points(cloud, np.concatenate([near, cloud.points]))
+    odometry = HybridOdometry(model=None)
+    for _ in range(2):
+        seen = odometry.seen(dirty)
+        np.testing.assert_array_equal(seen.points, cloud.points)
+        assert seen.near == 3
+        np.testing.assert_array_equal(seen.rows, np.arange(3, 3 + len(cloud)))
+        odometry.step(seen)
+    config = OdometryConfig(preprocess=PreprocessConfig(min_range_m=0.2))
+    assert HybridOdometry(config, model=None).seen(dirty).near == 2
+    empty = with_points(cloud, np.zeros((0, 3), np.float32))
+    assert odometry.seen(empty) is empty
+
+
+def test_millimetres_are_said(caplog: pytest.LogCaptureFixture) -> None:
+    cloud = scans(walk(1), RAYS)[0]
+    assert is_lost(run([with_points(cloud, 1000.0 * cloud.points)])[0])
+    assert 'this looks like millimetres; divide the coordinates by 1000' in caplog.text
 
 
 @pytest.mark.parametrize('times', ['equal', 'nan', 'far'])

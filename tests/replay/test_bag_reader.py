@@ -5,11 +5,21 @@
 from __future__ import annotations
 
 import logging
+import sqlite3
+import struct
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from tiny_bags import PERIOD, START, room_cloud, sensor_pose, write_room_bag
+from tiny_bags import (
+    PERIOD,
+    START,
+    cloud_bytes,
+    room_cloud,
+    sensor_pose,
+    write_mcap,
+    write_room_bag,
+)
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import BagError
@@ -107,11 +117,9 @@ def broken(folder: Path) -> dict[str, Path]:
     """Things that are not usable bags."""
     paths = {
         name: folder / name
-        for name in ('gone', 'empty_dir', 'no_meta', 'a.txt', 'a.bag', 'x.mcap', 'x.db3', '0.mcap')
+        for name in ('gone', 'empty_dir', 'a.txt', 'a.bag', 'x.mcap', 'x.db3', '0.mcap')
     }
     paths['empty_dir'].mkdir()
-    write_room_bag(paths['no_meta'], 1)
-    (paths['no_meta'] / 'metadata.yaml').unlink()
     for name in ('a.txt', 'a.bag', 'x.mcap', 'x.db3'):
         paths[name].write_bytes(b'no bag at all ' * 100)
     paths['0.mcap'].write_bytes(b'')
@@ -123,12 +131,11 @@ def broken(folder: Path) -> dict[str, Path]:
     [
         ('gone', 'no bag at'),
         ('empty_dir', r'neither metadata\.yaml nor'),
-        ('no_meta', r'no metadata\.yaml: name its file instead .*no_meta\.mcap'),
         ('a.txt', r'expected a \.mcap or \.db3 file'),
         ('a.bag', r'ROS 1 bag: convert it first, rosbags-convert'),
         ('x.mcap', 'no complete message in it'),
         ('x.db3', 'does not begin like an sqlite3 file'),
-        ('0.mcap', 'seems to be empty'),
+        ('0.mcap', 'no complete message in it'),
     ],
 )
 def test_what_is_not_a_bag(tmp_path: Path, name: str, text: str) -> None:
@@ -221,3 +228,175 @@ def test_odometry_carries_covariance_and_twist(tmp_path: Path) -> None:
     assert message.twist.covariance.tolist() == (2 * covariance).ravel().tolist()
     assert message.twist.twist.linear.y == 1.0
     assert message.twist.twist.angular.z == 5.0
+
+
+@pytest.mark.parametrize(
+    'schema',
+    [
+        (POINT_CLOUD2, 'ros2msg', b''),
+        (POINT_CLOUD2, 'ros2msg', b'uint8 something_else'),
+        (POINT_CLOUD2, 'ros2msg', b'not even ! a definition ('),
+        (POINT_CLOUD2, 'ros2msg', b'\xff\xfe'),
+        (POINT_CLOUD2, 'ros2idl', b'module {'),
+        (POINT_CLOUD2, '', b''),
+        ('sensor_msgs/PointCloud2', 'ros2msg', b''),
+    ],
+)
+@pytest.mark.parametrize('chunked', [True, False])
+def test_standard_messages_need_no_definition(
+    tmp_path: Path, schema: tuple[str, str, bytes], chunked: bool
+) -> None:
+    write_mcap(tmp_path / 'a.mcap', cloud_bytes(3), schema, chunked=chunked)
+    with open_bag(tmp_path / 'a.mcap') as bag:
+        assert bag.recovered is None
+        assert bag.topics['/points'] == ('/points', POINT_CLOUD2, 3)
+        frames = list(bag.frames())
+    assert [f.stamp for f in frames] == STAMPS[:3]
+    for i, frame in enumerate(frames):
+        assert frame.scan is not None, frame.error
+        assert np.array_equal(frame.message.data, room_cloud(i).data)
+
+
+def test_definitions_of_other_messages_are_learnt_or_left(tmp_path: Path) -> None:
+    """A type of one's own with a header is ordered by its stamps where the bag explains it."""
+    header = cloud_bytes(2)
+    text = b'std_msgs/Header header\nuint32 rest\n'
+    for name, definition in (('good', text), ('bad', b'???')):
+        path = tmp_path / f'{name}.mcap'
+        messages = [(topic, time + 5, raw) for topic, time, raw in header]
+        write_mcap(path, messages, (f'own_msgs/msg/{name.title()}', 'ros2msg', definition))
+        with open_bag(path) as bag:
+            late = [m.stamp - s for m, s in zip(bag.messages(), STAMPS, strict=False)]
+        assert late == ([0, 0] if name == 'good' else [5, 5])
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'db3'])
+def test_stamps_of_zero_are_log_times(
+    tmp_path: Path, storage: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / f'a.{storage}'
+    with BagWriter(path) as writer:
+        for topic, time, raw in cloud_bytes(3, stamped=False):
+            writer.write_raw(topic, POINT_CLOUD2, time, raw)
+    with open_bag(path) as bag:
+        frames = list(bag.frames())
+        times = [bag.decode(message).header.stamp for message in bag.messages()]
+    assert [f.scan.stamp for f in frames if f.scan] == STAMPS[:3]
+    assert [s.sec * 10**9 + s.nanosec for s in times] == STAMPS[:3]
+    assert caplog.text.count('stamps of /points are zero: log times stand in') == 1
+
+
+def test_stamps_that_no_bag_holds(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match='a stamp of -1 s cannot be stored'):
+        write_one(tmp_path / 'a.mcap', -(10**9))
+    with pytest.raises(BagError, match='cannot be stored: expected 0 to 2147483648 s'):
+        write_one(tmp_path / 'a.mcap', 2**31 * 10**9)
+    topic, time, raw = cloud_bytes(1)[0]
+    raw = raw[:4] + struct.pack('<iI', -5, 0) + raw[12:]
+    write_mcap(tmp_path / 'b.mcap', [(topic, time, raw)], (POINT_CLOUD2, 'ros2msg', b''))
+    with open_bag(tmp_path / 'b.mcap') as bag:
+        (frame,) = bag.frames()
+    assert (frame.scan, frame.error) == (None, 'its stamp is negative: -5.000000 s')
+
+
+def write_one(path: Path, stamp: int) -> None:
+    with BagWriter(path) as writer:
+        writer.write_cloud('/points', stamp, 'lidar', room_cloud(0))
+
+
+def test_a_topic_without_messages(tmp_path: Path) -> None:
+    write_mcap(tmp_path / 'a.mcap', [], (POINT_CLOUD2, 'ros2msg', b''))
+    with open_bag(tmp_path / 'a.mcap') as bag, pytest.raises(BagError, match='no PointCloud2'):
+        bag.cloud_topic()
+    path = tmp_path / 'b.db3'
+    write_room_bag(path, 1)
+    connection = sqlite3.connect(path)
+    connection.execute('DELETE FROM messages')
+    connection.commit()
+    connection.close()
+    with open_bag(path) as bag:
+        with pytest.raises(BagError, match='holds no message on /points'):
+            bag.cloud_topic()
+        assert bag.ground_truth() is None
+
+
+def test_damaged_chunks_are_found_by_their_checksum(tmp_path: Path) -> None:
+    path = tmp_path / 'a.mcap'
+    write_mcap(path, cloud_bytes(6), (POINT_CLOUD2, 'ros2msg', b''))
+    data = bytearray(path.read_bytes())
+    data[len(data) // 4] ^= 0x40
+    path.write_bytes(data)
+    with open_bag(path) as bag, pytest.raises(BagError, match=r'is damaged .*mcap recover'):
+        list(bag.frames())
+
+
+def split_bag(folder: Path, suffix: str, parts: int = 12) -> None:
+    """A folder of bag files with one frame each, whose numbers are not padded; no metadata."""
+    folder.mkdir()
+    for i in range(parts):
+        with BagWriter(folder / f'run_{i}.{suffix}') as writer:
+            writer.write_cloud('/points', STAMPS[i], 'lidar', room_cloud(i, 200))
+            writer.write_odometry('/ground_truth/odom', STAMPS[i], ('w', 'l'), sensor_pose(i))
+
+
+@pytest.mark.parametrize('suffix', ['mcap', 'db3'])
+def test_split_bag_without_metadata(
+    tmp_path: Path, suffix: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = tmp_path / 'bag'
+    split_bag(folder, suffix)
+    with open_bag(folder) as bag:
+        assert bag.topics['/points'].messages == 12
+        assert [s.stamp for s in bag.scans()] == STAMPS
+        truth = bag.ground_truth()
+    assert truth is not None
+    assert truth.stamps.tolist() == STAMPS
+    (folder / f'run_12.{suffix}').write_bytes(b'')
+    with open_bag(folder) as bag:
+        assert len(list(bag.scans())) == 12
+    assert f'left out: {"cannot read bag " if suffix == "mcap" else ""}{folder}' in caplog.text
+
+
+def test_odd_metadata(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    write_room_bag(tmp_path / 'bag', 3)
+    metadata = tmp_path / 'bag' / 'metadata.yaml'
+    whole = metadata.read_text()
+    for text, warning in (
+        (
+            whole.replace('version: 9', 'version: 12'),
+            'has version 12, newer than 9: the files are',
+        ),
+        ('][', 'cannot be used'),
+        ('rosbag2_bagfile_information: 3', 'cannot be used'),
+    ):
+        metadata.write_text(text)
+        caplog.clear()
+        with open_bag(tmp_path / 'bag') as bag:
+            assert len(list(bag.scans())) == 3
+        assert warning in caplog.text
+    metadata.write_text(whole.replace('version: 9', 'version: 12').replace(
+        "compression_mode: ''", 'compression_mode: FILE'))  # fmt: skip
+    with pytest.raises(BagError, match='version 12, newer than 9, and its files are compressed'):
+        open_bag(tmp_path / 'bag')
+    metadata.write_text(whole.replace('bag.mcap', 'gone.mcap'))
+    with pytest.raises(BagError, match=r'lacks gone\.mcap of its metadata'):
+        open_bag(tmp_path / 'bag')
+
+
+def test_folders_of_other_files(tmp_path: Path) -> None:
+    for names, text in (
+        (['a.mcap', 'b.db3'], r'holds \.db3 and \.mcap files and no metadata'),
+        (['a.bag'], 'holds a ROS 1 bag: convert it first, rosbags-convert'),
+        (['a.mcap.zstd'], 'holds compressed files and no metadata'),
+    ):
+        folder = tmp_path / names[0].replace('.', '_')
+        folder.mkdir()
+        for name in names:
+            (folder / name).write_bytes(b'x')
+        with pytest.raises(BagError, match=text):
+            open_bag(folder)
+    for chunked in (True, False):
+        write_mcap(tmp_path / 'r.mcap', [('/p', 1, b'1234')],
+                   ('sensor_msgs/PointCloud2', 'ros1msg', b''), 'ros1', chunked)  # fmt: skip
+        with pytest.raises(BagError, match='holds messages of ROS 1: convert it first'):
+            open_bag(tmp_path / 'r.mcap')

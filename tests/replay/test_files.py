@@ -91,7 +91,14 @@ def test_kitti_file_with_and_without_times(tmp_path: Path) -> None:
         ('1 0 0 0 0 0 0 1\n2 0 0 0 0 0 1\n', 'line 2: expected stamp x y z .* found 7 columns'),
         ('1 0 0 zero 0 0 0 1\n', 'line 1: .*could not convert'),
         ('1 0 0 0 0 0 0 0\n', 'norm 0, not 1'),
-        ('1 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n', 'stamps must increase'),
+        ('1 0 0 0 0 0 0 1\n\n1 0 0 0 0 0 0 1\n', r'a\.txt line 3: stamps must increase.* line 1'),
+        ('1 0 0 0 0 0 0 1\n2 0 0 0 1 1 0 1\n', r'a\.txt line 2: quaternion .* has norm 1.7'),
+        ('1 0 0 nan 0 0 0 1\n', 'line 1: .*not finite'),
+        ('1e400 0 0 0 0 0 0 1\n', 'line 1: .*not finite'),
+        ('1e40 0 0 0 0 0 0 1\n', 'is no time: expected seconds'),
+        ('99999999999 0 0 0 0 0 0 1\n', 'is no time: expected seconds'),
+        ('1 0 0 0 0 1 0 0 0 0 1 0\n1 9 9 0 0 1 0 0 0 0 1 0\n', 'line 2: .* no rigid transform'),
+        ('1 0 0 0 0 1 0 0 0 0 nan 0\n', 'line 1: .* no rigid transform'),
         ('1 0 0 0 0 1 0 0 0 0 1\n' * 2, 'found 11'),
         ('1 0 0 0 0 1 0 0 0 0 1 x\n', 'line 1: could not convert'),
         ('1 0 0 0 0 1 0 0 0 0 1 0\n1 2\n', 'line 2: expected 12 numbers, found 2'),
@@ -103,8 +110,29 @@ def test_bad_trajectory_files(tmp_path: Path, text: str, message: str) -> None:
         io.read_trajectory(tmp_path / 'a.txt')
 
 
+@pytest.mark.parametrize('start', [0, 1_700_000_000])
+@pytest.mark.parametrize('unit', ['s', 'ms', 'us', 'ns'])
+def test_stamps_in_other_units(
+    tmp_path: Path, unit: str, start: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Epoch stamps in any unit, and us and ns from zero; ms from zero may be seconds."""
+    if (unit, start) == ('ms', 0):
+        pytest.skip('0 100 200 may be seconds')
+    stamps_ns = [start * 10**9 + i * 100_000_000 for i in range(20)]
+    per_unit = {'s': 10**9, 'ms': 10**6, 'us': 10**3, 'ns': 1}[unit]
+    texts = [f'{s // per_unit}.{s % per_unit:09d}' if unit == 's' else str(s // per_unit)
+             for s in stamps_ns]  # fmt: skip
+    (tmp_path / 'a.tum').write_text(''.join(f'{t} 0 0 0 0 0 0 1\n' for t in texts))
+    assert io.read_trajectory(tmp_path / 'a.tum').stamps.tolist() == stamps_ns
+    (tmp_path / 'times.txt').write_text('\n'.join(texts))
+    assert io.read_times(tmp_path / 'times.txt') == stamps_ns
+    (tmp_path / 'list.txt').write_text('\n'.join(f'{t} {t}.png' for t in texts))
+    assert [s for s, _ in io.read_listing(tmp_path / 'list.txt')] == stamps_ns
+    assert (f'stamps are taken as {unit}' in caplog.text) == (unit != 's')
+
+
 def test_what_is_no_trajectory_file(tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match='no trajectory at'):
+    with pytest.raises(FileFormatError, match='no file at'):
         io.read_trajectory(tmp_path / 'gone.txt')
     with pytest.raises(FileFormatError, match='is not a text file'):
         io.read_trajectory(tmp_path)

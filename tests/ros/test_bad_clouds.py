@@ -99,7 +99,7 @@ def odd_datatype() -> PointCloud2:
     [
         (lacking_z, 'lacks field z'),
         (truncated, 'truncated data'),
-        (doubled_field, 'field x occurs twice'),
+        (doubled_field, 'lacks field y'),
         (odd_datatype, 'unknown datatype 77'),
         (lambda: edited(point_step=8), 'wrong point_step'),
         (lambda: edited(point_step=0), 'point_step'),
@@ -210,6 +210,7 @@ def test_bad_times_are_said_and_not_used(probe, times):
     assert msg.pose.pose.position.x == pytest.approx(0.05, abs=0.03)
     probe.fresh()
     assert probe.values['deskewed'] == 'false'
+    assert probe.values['point_times'].startswith('none: ')
 
 
 def test_flood_keeps_the_newest_and_counts_the_rest(probe):

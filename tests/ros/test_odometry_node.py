@@ -64,16 +64,39 @@ def test_lever_arm_free_twist_is_in_the_child_frame(probe):
     assert abs(v.y) + abs(v.z) < 0.15
 
 
-def test_dynamic_and_static_points_partition_the_input(probe):
+def test_no_return_is_in_no_output(probe):
+    """2,000 points at the sensor and 50 on its housing are counted; none of them goes out."""
+    listen_to_clouds(probe)
+    before = (probe.count('near_points'), probe.count('invalid_points'))
+    points = np.concatenate([np.zeros((2000, 3)), room(0.05), np.full((50, 3), 0.2)])
+    msg = cloud(points.astype(np.float32), stamp())
+    probe.answer(msg)
+    s = to_ns(msg.header.stamp)
+    clouds = [
+        probe.wait(lambda topic=topic: probe.at(s, topic), topic)
+        for topic in ('static_points', 'dynamic_points')
+    ]
+    out = np.concatenate([to_scan(m).points for m in clouds])
+    assert sum(m.width for m in clouds) == len(out) == len(room(0.05))
+    assert np.linalg.norm(out, axis=1).min() > 0.5
+    probe.wait(lambda: probe.count('near_points') == before[0] + 2050, 'the count')
+    assert probe.count('invalid_points') == before[1]
+
+
+def listen_to_clouds(probe):
     if 'static_points' not in probe.received:
         probe.listen('static_points', PointCloud2)
         probe.listen('dynamic_points', PointCloud2)
+    probe.wait(lambda: probe.publishers_matched('static_points', 'dynamic_points'), 'the match')
+
+
+def test_dynamic_and_static_points_partition_the_input(probe):
+    listen_to_clouds(probe)
     points = room()
     points[::10] = np.nan
     s = stamp()
     marks = np.arange(len(points), dtype=np.uint32)
     msg = cloud(points, s, number=marks)
-    probe.wait(lambda: probe.publishers_matched('static_points', 'dynamic_points'), 'the match')
     probe.answer(msg)
     parts = [
         probe.wait(lambda t=topic: probe.at(s, t), topic)

@@ -32,7 +32,7 @@ def read_intrinsics(path: str | Path) -> Intrinsics:
     """Intrinsics of a text file with a 3x3 matrix, or with fx fy cx cy.
 
     Raises:
-        FileFormatError: the file is missing or holds neither.
+        FileFormatError: the file is missing or holds neither, or a focal length is not positive.
     """
     try:
         values = [float(v) for v in Path(path).read_text('utf-8').replace(',', ' ').split()]
@@ -40,11 +40,13 @@ def read_intrinsics(path: str | Path) -> Intrinsics:
         raise FileFormatError(f'cannot read intrinsics {path}: {error.strerror}') from None
     except ValueError as error:
         raise FileFormatError(f'{path}: expected numbers only, {error}') from None
-    if len(values) == 4:
-        return Intrinsics(*values)
+    if len(values) not in (4, 9):
+        raise FileFormatError(f'{path}: expected 9 or 4 numbers, found {len(values)}')
     if len(values) == 9:
-        return Intrinsics(values[0], values[4], values[2], values[5])
-    raise FileFormatError(f'{path}: expected 9 or 4 numbers, found {len(values)}')
+        values = [values[0], values[4], values[2], values[5]]
+    if not np.isfinite(values).all() or min(values[:2]) <= 0.0:
+        raise FileFormatError(f'{path}: expected focal lengths above 0, found {values}')
+    return Intrinsics(*values)
 
 
 def read_depth_m(path: str | Path, units_per_m: float = 1000.0) -> NDArray[np.float32]:

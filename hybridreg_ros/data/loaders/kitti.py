@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from natsort import natsorted
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import FileFormatError
@@ -40,7 +41,7 @@ class KittiOdometry(FramePairs):
         self, folder: str | Path, *, distance_m: float = 10.0, voxel_size_m: float = 0.3
     ) -> None:
         folder = Path(folder)
-        self.files = sorted((folder / 'velodyne').glob('*.bin'))
+        self.files = natsorted((folder / 'velodyne').glob('*.bin'))
         if not self.files:
             raise FileFormatError(f'{folder}/velodyne holds no .bin scans')
         rows = read_numbers(_poses_file(folder), 12)

@@ -41,8 +41,12 @@ def decompress(packed: bytes, size: int) -> bytes:
             place += 1
             if start < 0:
                 raise ValueError('LZF data refer to bytes before their beginning')
-            for k in range(start, start + length + 2):
-                out.append(out[k])
+            piece, length = bytes(out[start : start + length + 2]), length + 2
+            while len(piece) < length:  # it reaches into itself
+                piece += piece
+            out += piece[:length]
+            if len(out) > size:
+                raise ValueError(f'LZF data hold more than {size} bytes')
     except IndexError:
         raise ValueError('LZF data are cut off') from None
     if len(out) != size:

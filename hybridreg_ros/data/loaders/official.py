@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from natsort import natsorted
 
 from hybridreg_ros.core.errors import FileFormatError
 from hybridreg_ros.core.se3 import apply
@@ -41,7 +42,7 @@ class OfficialHybridMatch:
     ) -> None:
         self.folder, self.still, self.voxel_size_m = Path(folder), still, voxel_size_m
         places = {p.parent for p in self.folder.rglob('relative_transform.npy')}
-        self.places = sorted(p for p in places if not p.name.startswith('.'))
+        self.places = natsorted(p for p in places if not p.name.startswith('.'))
         if not self.places:
             raise FileFormatError(f'{folder}: expected folders with {", ".join(_FILES)}')
 

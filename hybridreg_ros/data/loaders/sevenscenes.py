@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from natsort import natsorted
 
 from hybridreg_ros.core.errors import FileFormatError
 from hybridreg_ros.data.loaders.depth_images import (
@@ -42,7 +43,7 @@ class SevenScenes(FramePairs):
         voxel_size_m: float = 0.05,
     ) -> None:  # fmt: skip
         folder = Path(folder)
-        self.files = sorted(folder.glob('frame-*.depth.png'))
+        self.files = natsorted(folder.glob('frame-*.depth.png'))
         if not self.files:
             raise FileFormatError(f'{folder} holds no frame-NNNNNN.depth.png')
         self.max_depth_m = max_depth_m

@@ -105,6 +105,8 @@ def play(node: Node, args: argparse.Namespace, active: Callable[[], bool]) -> Pl
         _wait(player, flow, opts.wait_s, args.node, active)
         while active():
             player.play(report, flow.may_send if flow else None)
+            if active() and not sum(report.sent.values()):
+                raise HybridRegError(f'{args.bag}: no message was played')
             if not args.loop:
                 break
         if flow is not None and active() and not flow.drain(_DRAIN_S):

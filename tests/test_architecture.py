@@ -41,7 +41,7 @@ ALLOWED = {
 }
 EXCEPTIONS = {
     # The bag player is the one executable of ros/ that reads bags.
-    ('ros/playback/bag_player.py', 'replay'),
+    ('ros/playback/playing.py', 'replay'),
 }
 HOMES = {
     'rclpy': ('ros/',),

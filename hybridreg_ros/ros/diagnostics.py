@@ -37,6 +37,7 @@ class Setting:
         transport_warning: True when large clouds may be lost.
         input_timeout_s: silence that is worth a warning.
         paused: True between ~/pause and ~/resume.
+        starting: what the node does before it subscribes, '' once it has.
         waiting_for: text while outputs are held back (extrinsic unknown), else ''.
         queue: clouds waiting.
         tf: state of the /tf output.
@@ -50,6 +51,7 @@ class Setting:
     transport_warning: bool
     input_timeout_s: float
     paused: bool
+    starting: str
     waiting_for: str
     queue: int
     tf: str
@@ -83,7 +85,9 @@ def _about_node(state: Snapshot, setting: Setting) -> list[tuple[bytes, str]]:
         found.append((WARN, f'no weights, kiss-icp alone: {setting.weights}'))
     elif state.source is Source.KISS_ICP and state.reason not in _CHOSEN:
         found.append((WARN, f'fallback kiss_icp: {state.reason.value}'))
-    if setting.paused:
+    if setting.starting:
+        found.append((WARN, f'starting, no cloud is taken yet: {setting.starting}'))
+    elif setting.paused:
         found.append((WARN, 'paused'))
     elif state.idle_s > setting.input_timeout_s:
         found.append((WARN, f'no cloud for {state.idle_s:.1f} s on {setting.hardware_id}'))

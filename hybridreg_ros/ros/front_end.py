@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -69,6 +70,61 @@ def build_front_end(
         if not filled:
             say(f'compiling: {step}')
     return FrontEnd(HybridOdometry(config, model=model), text, has_weights)
+
+
+class Building:
+    """Builds a front end in a thread of its own, so that the node answers meanwhile.
+
+    Attributes:
+        state: what it is at, '' before the start and once it is done.
+    """
+
+    def __init__(
+        self,
+        config: OdometryConfig,
+        weights: str,
+        say: Callable[[str], object],
+        on_done: Callable[[], object],
+    ) -> None:
+        """Start to build.
+
+        Args:
+            config: settings of the front end.
+            weights: path of a weights file, '' = the packaged ones.
+            say: called in the thread with one line for each step of a compilation.
+            on_done: called in the thread once `result` will answer.
+        """
+        self.state = 'loading'
+        self._made: FrontEnd | None = None
+        self._error: Exception | None = None
+        self._arguments = (config, weights)
+        self._say, self._on_done = say, on_done
+        threading.Thread(target=self._run, name='hybridreg_build', daemon=True).start()
+
+    def result(self) -> FrontEnd:
+        """The front end, when it is done.
+
+        Raises:
+            WeightsError: the file named cannot be used.
+            DependencyError: kiss-icp is not installed.
+        """
+        if self._error is not None:
+            raise self._error
+        if self._made is None:
+            raise RuntimeError('the front end is not built yet')
+        return self._made
+
+    def _run(self) -> None:
+        try:
+            self._made = build_front_end(*self._arguments, self._step)
+        except Exception as error:
+            self._error = error
+        self.state = ''
+        self._on_done()
+
+    def _step(self, text: str) -> None:
+        self.state = text
+        self._say(text)
 
 
 def _load(weights: str) -> Any:

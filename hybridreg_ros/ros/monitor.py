@@ -104,6 +104,11 @@ class Monitor:
         self._switch = 'none'
         self._note = ''
 
+    def begin(self) -> None:
+        """The subscription is made: silence counts from now on."""
+        with self._lock:
+            self._since = time.monotonic()
+
     def arrived(self) -> float:
         """Count a cloud that reached the callback; returns its monotonic time, s."""
         now = time.monotonic()

@@ -39,7 +39,7 @@ _OFFER = 'it is offered reliable, volatile'
 
 
 class Outputs:
-    """Publishes results; called from the worker thread only, except `configure` and `forget`.
+    """Publishes results; called from the worker thread, except `configure`, `forget` and `close`.
 
     Attributes:
         waiting_for: text while odometry is held back because the extrinsic is unknown, else ''.
@@ -63,6 +63,8 @@ class Outputs:
         self._path = self._publisher(Path, '~/path', 1)
         self._frame = self._publisher(DiagnosticArray, '~/frame', 10)
         self._lock = threading.Lock()
+        self._closing = threading.Lock()
+        self._closed = False
         self._poses: deque[PoseStamped] = deque(maxlen=config.path_length)
         self._listener: StaticListener | None = None
         if config.base_frame and config.extrinsic_source == 'tf':
@@ -109,8 +111,18 @@ class Outputs:
         with self._lock:
             self._poses.clear()
 
+    def close(self) -> None:
+        """Publish nothing any more; a publication in work ends first."""
+        with self._closing:
+            self._closed = True
+
     def publish(self, msg: PointCloud2, result: OdometryResult) -> None:
         """Publish the clouds of a result and what became of it, to those who listen."""
+        with self._closing:
+            if not self._closed:
+                self._publish(msg, result)
+
+    def _publish(self, msg: PointCloud2, result: OdometryResult) -> None:
         config = self._config
         if self._frame.get_subscription_count():
             name = f'{self._node.get_fully_qualified_name().lstrip("/")}: frame'
@@ -123,6 +135,11 @@ class Outputs:
 
     def publish_odometry(self, result: OdometryResult) -> None:
         """Publish pose, transform and path: at once, the clouds follow."""
+        with self._closing:
+            if not self._closed:
+                self._publish_odometry(result)
+
+    def _publish_odometry(self, result: OdometryResult) -> None:
         config = self._config
         sensor_frame = result.scan.frame_id.lstrip('/')
         child = config.base_frame or sensor_frame

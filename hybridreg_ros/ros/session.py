@@ -3,13 +3,12 @@
 """Session: rclpy from init to shutdown, ended in order by Ctrl-C or SIGTERM.
 
 rclpy's own handlers invalidate the context at once, while other threads still publish; here a
-signal only asks to stop, so that the cloud in work is finished and published.
+signal only asks to stop, so that the cloud in work can be finished and published.
 """
 
 from __future__ import annotations
 
 import contextlib
-import signal
 from typing import TYPE_CHECKING
 
 import rclpy
@@ -19,54 +18,55 @@ from hybridreg_ros.ros import fastdds
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from types import FrameType
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+    from rclpy.executors import Executor
+
+    from hybridreg_ros.ros.stop_signals import StopSignals
 
 
 class Session:
     """A running rclpy.
 
     Attributes:
-        stopping: True once a signal asked to stop.
         transport: what fastdds.prepare decided.
     """
 
-    def __init__(self, transport: fastdds.Transport) -> None:
-        self.stopping = False
+    def __init__(self, transport: fastdds.Transport, stop: StopSignals) -> None:
         self.transport = transport
+        self._stop = stop
 
     @property
     def active(self) -> bool:
         """Whether work shall go on."""
-        return not self.stopping and bool(rclpy.ok())
+        return not self._stop.asked and bool(rclpy.ok())
 
-    def on_signal(self, number: int, _: FrameType | None) -> None:
-        """Ask to stop; a second signal interrupts at once.
+    def spin(self, executor: Executor) -> None:
+        """Serve callbacks until a signal comes or the context is shut down.
 
         Raises:
-            KeyboardInterrupt: this is not the first signal.
+            Exception: whatever a callback raised.
         """
-        if self.stopping:
-            raise KeyboardInterrupt
-        self.stopping = True
+        self._stop.end_in_order(lambda: executor.create_task(_nothing))
+        while self.active:
+            executor.spin_once()
+
+
+def _nothing() -> None:
+    """What an executor runs to look up."""
 
 
 @contextlib.contextmanager
-def ros_session(args: list[str] | None) -> Iterator[Session]:
+def ros_session(args: list[str] | None, stop: StopSignals) -> Iterator[Session]:
     """Prepare the transport, initialise rclpy, and shut it down at the end.
 
     Args:
         args: command line with ROS arguments; None = that of this process.
+        stop: waits for the signals already.
     """
-    session = Session(fastdds.prepare())
+    transport = fastdds.prepare()
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    before = {number: signal.signal(number, session.on_signal) for number in _SIGNALS}
+    stop.end_in_order(_nothing)
     try:
-        yield session
-    except KeyboardInterrupt:
-        session.stopping = True
+        yield Session(transport, stop)
     finally:
         rclpy.try_shutdown()
-        for number, handler in before.items():
-            signal.signal(number, handler)

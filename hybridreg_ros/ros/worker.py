@@ -96,7 +96,11 @@ class Worker:
             self._monitor.dropped(Drop.RESET, 'waiting while ~/reset was called', gone)
 
     def stop(self, timeout_s: float = 5.0) -> None:
-        """Drop what waits and end the thread after the current cloud."""
+        """Drop what waits and end the thread after the current cloud.
+
+        Args:
+            timeout_s: longest wait for it; the thread goes on alone after that.
+        """
         self._queue.close()
         if self._thread.is_alive():
             self._thread.join(timeout_s)

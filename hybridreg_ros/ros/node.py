@@ -1,0 +1,237 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""The node: clouds in; odometry, dynamic and static points, /tf and diagnostics out."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import TYPE_CHECKING, Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+from hybridreg_ros.core.errors import HybridRegError
+from hybridreg_ros.core.pages import one_heap
+from hybridreg_ros.odometry.config import OdometryConfig
+from hybridreg_ros.ros import fastdds
+from hybridreg_ros.ros.diagnostics import Setting, to_array
+from hybridreg_ros.ros.front_end import Building, FrontEnd
+from hybridreg_ros.ros.monitor import Drop, Monitor
+from hybridreg_ros.ros.node_config import RESTART_ONLY, NodeConfig
+from hybridreg_ros.ros.outputs import Outputs
+from hybridreg_ros.ros.parameters import ConfigParameters, leaves
+from hybridreg_ros.ros.qos import profile
+from hybridreg_ros.ros.session import ros_session
+from hybridreg_ros.ros.subscription import CloudSubscription
+from hybridreg_ros.ros.worker import Arrival, Worker
+
+if TYPE_CHECKING:
+    from rclpy.timer import Timer
+    from sensor_msgs.msg import PointCloud2
+
+    from hybridreg_ros.ros.stop_signals import StopSignals
+
+
+RUNTIME = ('dynamics.threshold',)
+"""Front-end parameters that the node itself applies; the others are read at the start."""
+
+_WARN_EVERY_S = 5.0
+_FINISH_S = 0.25
+"""How long an ending node waits for the cloud in work."""
+_FIXED = {leaf.name for leaf in leaves(OdometryConfig())}.difference(RUNTIME).union(RESTART_ONLY)
+
+
+class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
+    """ROS callbacks around one front end; docs/ros.md lists topics, services and parameters."""
+
+    def __init__(self, transport: fastdds.Transport | None = None) -> None:
+        """Read the parameters and begin to build the front end; subscribe once it is built.
+
+        A front end that cannot be built is an error (WeightsError, DependencyError) raised out of
+        the executor.
+
+        Args:
+            transport: what fastdds.prepare decided, for the diagnostics.
+
+        Raises:
+            ConfigError: a parameter is unknown, of the wrong type or out of range.
+            DependencyError: the extrinsic shall come from /tf_static and tf2_msgs is missing.
+        """
+        super().__init__('hybridreg', automatically_declare_parameters_from_overrides=True)
+        self._transport = transport or fastdds.Transport(None, 'chosen by the process around')
+        self._paused = False
+        self._warned: dict[str, float] = {}
+        self._monitor = Monitor()
+        self._settings = ConfigParameters(
+            self, (OdometryConfig(), NodeConfig()), _FIXED.__contains__, self._on_parameters
+        )
+        odometry, config = self._configs
+        self._outputs = Outputs(self, config, odometry.dynamics.threshold)
+        self._front_end: FrontEnd | None = None
+        self._worker: Worker | None = None
+        self._input: CloudSubscription | None = None
+        self._triggers = [
+            self.create_service(Trigger, '~/reset', self._on_reset),
+            self.create_service(Trigger, '~/pause', self._on_pause),
+            self.create_service(Trigger, '~/resume', self._on_resume),
+        ]
+        self._diagnostics = self.create_publisher(
+            DiagnosticArray, '/diagnostics', profile(reliable=True, depth=10)
+        )
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = self._diagnostics_timer(config)
+        if self._transport.warning:
+            self.get_logger().warning(self._transport.reason)
+        self._built = self.create_guard_condition(self._on_built)
+        self._building = Building(
+            odometry, config.weights, self.get_logger().info, self._built.trigger
+        )
+
+    @property
+    def _configs(self) -> tuple[OdometryConfig, NodeConfig]:
+        odometry, node = self._settings.configs
+        return odometry, node
+
+    def _diagnostics_timer(self, config: NodeConfig) -> Timer:
+        """Timer on the steady clock: diagnostics go on while simulated time stands still."""
+        return self.create_timer(
+            config.diagnostics_period_s, self._on_diagnostics, clock=self._steady
+        )
+
+    def _on_built(self) -> None:
+        """Subscribe: from now on clouds can be worked on."""
+        config = self._configs[1]
+        self._front_end = made = self._building.result()
+        if not made.has_weights:
+            self.get_logger().warning(f'no weights, kiss-icp alone: {made.weights}')
+        self._worker = Worker(
+            made.odometry,
+            config,
+            self._monitor,
+            self._outputs.publish_odometry,
+            self._outputs.publish,
+            self._warn,
+        )
+        self._worker.start()
+        self._monitor.begin()
+        self._input = CloudSubscription(
+            self, config.input_qos, config.input_qos_depth, self._on_cloud, self._on_lost
+        )
+
+    def _on_cloud(self, msg: PointCloud2) -> None:
+        """Queue a cloud, or count why not; never blocks."""
+        time_s = self._monitor.arrived()
+        size = msg.height * msg.width
+        limit = self._configs[1].max_cloud_points
+        if self._paused:
+            self._monitor.dropped(Drop.PAUSED, 'between ~/pause and ~/resume')
+        elif size > limit:
+            text = f'{size} points, max_cloud_points is {limit}'
+            self._monitor.dropped(Drop.TOO_MANY_POINTS, text)
+            self._warn(Drop.TOO_MANY_POINTS.value, text)
+        elif self._worker is not None:
+            self._worker.submit(Arrival(msg, time_s))
+
+    def _on_lost(self, count: int) -> None:
+        """Count clouds that the transport lost; the middleware tells."""
+        text = 'never arrived; see docs/ros.md, Transport'
+        self._monitor.dropped(Drop.TRANSPORT, text, count)
+
+    def _warn(self, cause: str, text: str) -> None:
+        """Log one line, at most every five seconds per cause; the counters miss nothing."""
+        now = time.monotonic()
+        if now - self._warned.get(cause, -_WARN_EVERY_S) >= _WARN_EVERY_S:
+            self._warned[cause] = now
+            self.get_logger().warning(f'{cause}: {text}')
+
+    def _on_parameters(self) -> None:
+        """Apply accepted changes."""
+        odometry, config = self._configs
+        self._outputs.configure(config, odometry.dynamics.threshold)
+        if self._worker is not None:
+            self._worker.configure(config)
+        period_ns = round(config.diagnostics_period_s * 1e9)
+        if self._timer.timer_period_ns != period_ns:
+            self._timer.timer_period_ns = period_ns
+            self._timer.reset()
+
+    def _on_reset(self, _: Any, response: Trigger.Response) -> Trigger.Response:
+        """Start again at the origin with an empty map."""
+        if self._worker is not None:
+            self._worker.reset()
+        self._outputs.forget()
+        response.success, response.message = True, 'pose and map cleared'
+        return response
+
+    def _on_pause(self, _: Any, response: Trigger.Response) -> Trigger.Response:
+        """Ignore (and count) clouds from now on."""
+        self._paused = True
+        response.success, response.message = True, 'paused: clouds are counted and dropped'
+        return response
+
+    def _on_resume(self, _: Any, response: Trigger.Response) -> Trigger.Response:
+        """Process clouds again."""
+        self._paused = False
+        response.success, response.message = True, 'resumed'
+        return response
+
+    def _on_diagnostics(self) -> None:
+        """Publish the state of the node."""
+        name = self.get_fully_qualified_name().lstrip('/')
+        made, source = self._front_end, self._input
+        setting = Setting(
+            name=f'{name}: odometry',
+            hardware_id=self.resolve_topic_name('points'),
+            weights=self._building.state if made is None else made.weights,
+            has_weights=made is None or made.has_weights,
+            transport=f'{self._transport.reason}; input {source.state if source else "closed"}',
+            transport_warning=self._transport.warning,
+            input_timeout_s=self._configs[1].input_timeout_s,
+            paused=self._paused,
+            starting=self._building.state if made is None else '',
+            waiting_for=self._outputs.waiting_for,
+            queue=self._worker.waiting if self._worker else 0,
+            tf=self._outputs.tf_state,
+        )
+        stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(to_array(self._monitor.snapshot(), setting, stamp))
+
+    def stop(self) -> None:
+        """Close the outputs, when the cloud in work is finished or takes long."""
+        if self._worker is not None:
+            self._worker.stop(_FINISH_S)
+        self._outputs.close()
+
+
+def run(argv: list[str], stop: StopSignals) -> int:
+    """Run the node until a signal comes.
+
+    Args:
+        argv: command line without the program's name.
+        stop: waits for the signals already.
+
+    Returns:
+        0 after shutdown, 2 when the node cannot start (one line on stderr).
+    """
+    one_heap()
+    with ros_session(argv, stop) as session:
+        node: OdometryNode | None = None
+        try:
+            node = OdometryNode(session.transport)
+            executor = SingleThreadedExecutor()
+            executor.add_node(node)
+            session.spin(executor)
+        except ExternalShutdownException:
+            pass
+        except HybridRegError as error:
+            sys.stderr.write(f'odometry_node: {error}\n')
+            return 2
+        finally:
+            if node is not None:
+                node.stop()
+                node.destroy_node()
+    return 0

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from hybridreg_ros.core import jit
-from hybridreg_ros.core.errors import WeightsError
+from hybridreg_ros.core.errors import HybridRegError, WeightsError
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.warm_up import warm_up
 
@@ -96,7 +96,7 @@ class Building:
         """
         self.state = 'loading'
         self._made: FrontEnd | None = None
-        self._error: Exception | None = None
+        self._error: HybridRegError | None = None
         self._arguments = (config, weights)
         self._say, self._on_done = say, on_done
         threading.Thread(target=self._run, name='hybridreg_build', daemon=True).start()
@@ -107,20 +107,22 @@ class Building:
         Raises:
             WeightsError: the file named cannot be used.
             DependencyError: kiss-icp is not installed.
+            RuntimeError: a bug ended the thread.
         """
         if self._error is not None:
             raise self._error
         if self._made is None:
-            raise RuntimeError('the front end is not built yet')
+            raise RuntimeError('the front end was not built; its thread tells why on stderr')
         return self._made
 
     def _run(self) -> None:
         try:
             self._made = build_front_end(*self._arguments, self._step)
-        except Exception as error:
+        except HybridRegError as error:
             self._error = error
-        self.state = ''
-        self._on_done()
+        finally:
+            self.state = ''
+            self._on_done()
 
     def _step(self, text: str) -> None:
         self.state = text

@@ -114,6 +114,12 @@ class Probe:
                 self.diagnostics += 1
 
     @property
+    def is_ready(self) -> bool:
+        """Whether the node takes clouds and its diagnostics say so."""
+        told = self.diagnostics > 0 and 'starting' not in self.text
+        return told and self.points.get_subscription_count() > 0
+
+    @property
     def odometry(self) -> list[Odometry]:
         """Odometry so far."""
         return self.received['odom']
@@ -207,7 +213,7 @@ def running(
         probe.process = process
         try:
             process.wait_until(
-                lambda: probe.diagnostics and probe.points.get_subscription_count(),
+                lambda: probe.is_ready,
                 180.0,
                 'the node',
             )

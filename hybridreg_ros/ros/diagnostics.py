@@ -80,7 +80,7 @@ def _about_clouds(state: Snapshot) -> list[tuple[bytes, str]]:
 
 
 def _about_node(state: Snapshot, setting: Setting) -> list[tuple[bytes, str]]:
-    found = []
+    found, last_drop = [], state.last_drop or 'none has been processed yet'
     if not setting.has_weights:
         found.append((WARN, f'no weights, kiss-icp alone: {setting.weights}'))
     elif state.source is Source.KISS_ICP and state.reason not in _CHOSEN:
@@ -91,6 +91,9 @@ def _about_node(state: Snapshot, setting: Setting) -> list[tuple[bytes, str]]:
         found.append((WARN, 'paused'))
     elif state.idle_s > setting.input_timeout_s:
         found.append((WARN, f'no cloud for {state.idle_s:.1f} s on {setting.hardware_id}'))
+    elif state.odometry_age_s > setting.input_timeout_s:
+        age = f'{state.odometry_age_s:.1f} s'
+        found.append((WARN, f'no odometry for {age}, although clouds come; last: {last_drop}'))
     if setting.waiting_for:
         found.append((WARN, setting.waiting_for))
     if setting.transport_warning:
@@ -118,6 +121,7 @@ def status(state: Snapshot, setting: Setting) -> DiagnosticStatus:
         **{f'poor.{reason}': str(n) for reason, n in sorted(state.poor.items())},
         'last_drop': state.last_drop or 'none',
         'invalid_points': str(state.invalid_points),
+        'odometry_age_s': f'{state.odometry_age_s:.1f}',
         'waiting': str(setting.queue),
         'latency_ms': f'{1e3 * state.latency_s:.1f}',
         'worst_latency_ms': f'{1e3 * state.worst_latency_s:.1f}',

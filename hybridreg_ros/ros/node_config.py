@@ -64,7 +64,10 @@ class NodeConfig:
         4_000_000, 'larger clouds are dropped and counted', low=1000, high=100_000_000
     )
     input_timeout_s: float = option(
-        2.0, 'seconds without a cloud until diagnostics warn', low=0.1, high=3600.0
+        2.0,
+        'seconds without a cloud, or without odometry, until diagnostics warn',
+        low=0.1,
+        high=3600.0,
     )
     diagnostics_period_s: float = option(
         1.0, 'seconds between two diagnostics messages', low=0.05, high=60.0

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import time
 from itertools import count
 
 import numpy as np
@@ -140,6 +141,24 @@ def test_clouds_without_shape_give_no_pose_of_their_own(probe, points):
     probe.wait(lambda: probe.values['source'] == 'lost', 'lost')
     probe.wait(lambda: DiagnosticStatus.ERROR in levels, 'an error')
     assert sum(n for key, n in probe.counters() if key.startswith('poor.')) == poor + 3
+
+
+def test_diagnostics_do_not_turn_ok_between_bad_clouds(probe):
+    assert probe.set('input_timeout_s', 0.3).successful
+    probe.wait(lambda: probe.level == DiagnosticStatus.WARN, 'silence')
+    broken = truncated()
+    probe.send(broken)
+    probe.wait(lambda: 'no odometry for' in probe.text, 'the age of the odometry')
+    levels = probe.watch_levels()
+    for _ in range(8):
+        probe.send(broken)
+        time.sleep(0.25)  # two or three diagnostics come, without a drop since the last one
+    assert DiagnosticStatus.OK not in levels
+    assert 'bad_cloud: truncated data' in probe.text
+    assert float(probe.values['odometry_age_s']) > 2.0
+    probe.answer(cloud(room(), stamp()))
+    probe.wait(lambda: 'no odometry' not in probe.text, 'the end of the warning')
+    assert probe.set('input_timeout_s', 2.0).successful
 
 
 def test_lost_is_left_again(probe):

@@ -16,7 +16,8 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed (pip install hybridreg_ros[ros])')
 
-from ros_harness import KISS, QUICK, STEP_NS, cloud, domain, room, running
+from diagnostic_msgs.msg import DiagnosticStatus
+from ros_harness import KISS, QUICK, STEP_NS, Probe, cloud, domain, room, running
 
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.ros.playback.node_process import LOCALHOST, NodeProcess
@@ -88,13 +89,15 @@ def test_while_the_node_loads(delay_s, signals):
     assert (code, 'Traceback' in output) == (0, False), output
 
 
-def test_while_kernels_are_compiled(tmp_path):
+def test_while_kernels_are_compiled_which_diagnostics_say(tmp_path):
+    probe = Probe('/cold')
     with NodeProcess(
         (OdometryConfig(), QUICK), '/cold', domain(), {'NUMBA_CACHE_DIR': str(tmp_path)}
     ) as process:
-        process.wait_until(
-            lambda: 'compiling: kiss-icp' in process.log.read_text(), HANG_S, 'the compiler'
-        )
+        process.wait_until(lambda: 'compiling: kiss-icp' in probe.text, HANG_S, 'the compiler')
+        assert 'starting, no cloud is taken yet' in probe.text
+        assert probe.level == DiagnosticStatus.WARN
+        probe.close()
         assert process.stop(HANG_S) == 0
         assert 'Traceback' not in process.log.read_text()
 

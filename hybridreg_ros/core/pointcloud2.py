@@ -25,6 +25,8 @@ TIME_FIELDS = ('t', 'time', 'timestamp', 'offset_time', 'time_stamp', 'times', '
 """Names under which lidar drivers store per-point times (Ouster, Velodyne, Hesai, Livox, ...)."""
 
 _FORMATS = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
+_MAX_STEP = 1 << 16
+"""Bytes that a point may have; with more, a layout is broken and numpy's types may not hold it."""
 _CODES = {np.dtype(name): code for code, name in _FORMATS.items()}
 
 
@@ -250,7 +252,7 @@ def _dtype(msg: Any) -> np.dtype[Any]:
     """Structured type of one point; raises when a field does not fit into point_step."""
     order = '>' if msg.is_bigendian else '<'
     names, formats, offsets = [], [], []
-    step = int(msg.point_step)
+    step = _point_step(msg)
     for f in msg.fields:
         if f.datatype not in _FORMATS:
             raise PointCloudError(f'field {f.name}: unknown datatype {f.datatype}, expected 1..8')
@@ -274,10 +276,18 @@ def _dtype(msg: Any) -> np.dtype[Any]:
     )
 
 
+def _point_step(msg: Any) -> int:
+    """Bytes of one point; raises when no sensor has as many."""
+    step = int(msg.point_step)
+    if step > _MAX_STEP:
+        raise PointCloudError(f'point_step is {step}, expected at most {_MAX_STEP} bytes')
+    return step
+
+
 def _rows(msg: Any) -> NDArray[np.uint8]:
     """Bytes of every point, (height * width, point_step), row padding removed."""
     height, width = int(msg.height), int(msg.width)
-    step, row_step = int(msg.point_step), int(msg.row_step)
+    step, row_step = _point_step(msg), int(msg.row_step)
     buffer = np.frombuffer(msg.data, dtype=np.uint8)
     if height * width == 0:
         return np.zeros((0, max(step, 1)), dtype=np.uint8)

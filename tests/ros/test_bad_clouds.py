@@ -16,9 +16,10 @@ from array import array
 from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from ros_harness import STEP_NS, cloud, room, running
+from ros_harness import KISS, STEP_NS, cloud, room, running
 
 from hybridreg_ros.odometry.result import LOST_VARIANCE
+from hybridreg_ros.ros.playback.fuzz_check import check_fuzz
 
 if TYPE_CHECKING:
     from sensor_msgs.msg import PointCloud2
@@ -89,6 +90,12 @@ def doubled_field() -> PointCloud2:
     return msg
 
 
+def empty_with_a_huge_point() -> PointCloud2:
+    msg = edited(width=0, point_step=2**32 - 1)
+    msg.fields[0].count = 2**29
+    return msg
+
+
 def odd_datatype() -> PointCloud2:
     msg = cloud(room(), stamp())
     msg.fields[0].datatype = 77
@@ -104,6 +111,7 @@ def odd_datatype() -> PointCloud2:
         (odd_datatype, 'unknown datatype 77'),
         (lambda: edited(point_step=8), 'wrong point_step'),
         (lambda: edited(point_step=0), 'point_step'),
+        (empty_with_a_huge_point, 'point_step is 4294967295, expected at most 65536'),
         (lambda: edited(row_step=5), 'row_step is 5'),
         (lambda: edited(fields=[]), 'lacks field x'),
         (lambda: edited(width=5000), 'row_step'),
@@ -247,6 +255,12 @@ def test_flood_keeps_the_newest_and_counts_the_rest(probe):
     assert gone > 0
     assert len(probe.odometry) - received + gone == len(stamps)
     assert probe.set('queue_depth', 50).successful
+
+
+def test_poses_among_broken_clouds_are_those_without_them_bit_by_bit():
+    report = check_fuzz(300, config=KISS)
+    assert report.sound, report
+    assert sum(report.dropped.values()) == report.sent == 300
 
 
 @pytest.mark.slow

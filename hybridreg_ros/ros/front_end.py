@@ -112,7 +112,7 @@ class Building:
         if self._error is not None:
             raise self._error
         if self._made is None:
-            raise RuntimeError('the front end was not built; its thread tells why on stderr')
+            raise RuntimeError('the front end was not built; its thread has logged why')
         return self._made
 
     def _run(self) -> None:

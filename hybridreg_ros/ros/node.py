@@ -4,8 +4,7 @@
 
 from __future__ import annotations
 
-import sys
-import time
+import contextlib
 from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -14,12 +13,12 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from hybridreg_ros.core.errors import HybridRegError
 from hybridreg_ros.core.pages import one_heap
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.ros import fastdds
 from hybridreg_ros.ros.diagnostics import Setting, to_array
 from hybridreg_ros.ros.front_end import Building, FrontEnd
+from hybridreg_ros.ros.journal import Journal
 from hybridreg_ros.ros.monitor import Drop, Monitor
 from hybridreg_ros.ros.node_config import RESTART_ONLY, NodeConfig
 from hybridreg_ros.ros.outputs import Outputs
@@ -33,13 +32,13 @@ if TYPE_CHECKING:
     from rclpy.timer import Timer
     from sensor_msgs.msg import PointCloud2
 
+    from hybridreg_ros.ros.session import Session
     from hybridreg_ros.ros.stop_signals import StopSignals
 
 
 RUNTIME = ('dynamics.threshold',)
 """Front-end parameters that the node itself applies; the others are read at the start."""
 
-_WARN_EVERY_S = 5.0
 _FINISH_S = 0.25
 """How long an ending node waits for the cloud in work."""
 _FIXED = {leaf.name for leaf in leaves(OdometryConfig())}.difference(RUNTIME).union(RESTART_ONLY)
@@ -64,7 +63,7 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
         super().__init__('hybridreg', automatically_declare_parameters_from_overrides=True)
         self._transport = transport or fastdds.Transport(None, 'chosen by the process around')
         self._paused = False
-        self._warned: dict[str, float] = {}
+        self._journal = Journal(self.get_logger()).open()
         self._monitor = Monitor()
         self._settings = ConfigParameters(
             self, (OdometryConfig(), NodeConfig()), _FIXED.__contains__, self._on_parameters
@@ -114,7 +113,7 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
             self._monitor,
             self._outputs.publish_odometry,
             self._outputs.publish,
-            self._warn,
+            self._journal.warn,
         )
         self._worker.start()
         self._monitor.begin()
@@ -132,7 +131,7 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
         elif size > limit:
             text = f'{size} points, max_cloud_points is {limit}'
             self._monitor.dropped(Drop.TOO_MANY_POINTS, text)
-            self._warn(Drop.TOO_MANY_POINTS.value, text)
+            self._journal.warn(Drop.TOO_MANY_POINTS.value, text)
         elif self._worker is not None:
             self._worker.submit(Arrival(msg, time_s))
 
@@ -140,13 +139,6 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
         """Count clouds that the transport lost; the middleware tells."""
         text = 'never arrived; see docs/ros.md, Transport'
         self._monitor.dropped(Drop.TRANSPORT, text, count)
-
-    def _warn(self, cause: str, text: str) -> None:
-        """Log one line, at most every five seconds per cause; the counters miss nothing."""
-        now = time.monotonic()
-        if now - self._warned.get(cause, -_WARN_EVERY_S) >= _WARN_EVERY_S:
-            self._warned[cause] = now
-            self.get_logger().warning(f'{cause}: {text}')
 
     def _on_parameters(self) -> None:
         """Apply accepted changes."""
@@ -205,33 +197,31 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
         if self._worker is not None:
             self._worker.stop(_FINISH_S)
         self._outputs.close()
+        self._journal.shut()
 
 
-def run(argv: list[str], stop: StopSignals) -> int:
-    """Run the node until a signal comes.
+def run(argv: list[str], stop: StopSignals) -> None:
+    """Run the node until a signal comes or rclpy is shut down.
 
     Args:
         argv: command line without the program's name.
         stop: waits for the signals already.
 
-    Returns:
-        0 after shutdown, 2 when the node cannot start (one line on stderr).
+    Raises:
+        HybridRegError: the node cannot start.
     """
     one_heap()
-    with ros_session(argv, stop) as session:
-        node: OdometryNode | None = None
-        try:
-            node = OdometryNode(session.transport)
-            executor = SingleThreadedExecutor()
-            executor.add_node(node)
-            session.spin(executor)
-        except ExternalShutdownException:
-            pass
-        except HybridRegError as error:
-            sys.stderr.write(f'odometry_node: {error}\n')
-            return 2
-        finally:
-            if node is not None:
-                node.stop()
-                node.destroy_node()
-    return 0
+    with ros_session(argv, stop) as session, contextlib.suppress(ExternalShutdownException):
+        _serve(session)
+
+
+def _serve(session: Session) -> None:
+    """Make the node, serve its callbacks until the end, and close it."""
+    node = OdometryNode(session.transport)
+    try:
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        session.spin(executor)
+    finally:
+        node.stop()
+        node.destroy_node()

@@ -4,9 +4,29 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
+from importlib.metadata import version
 
+from hybridreg_ros.core.errors import HybridRegError
 from hybridreg_ros.ros.stop_signals import StopSignals, leave
+
+
+def parser() -> argparse.ArgumentParser:
+    """Command line of the node, ROS arguments aside."""
+    p = argparse.ArgumentParser(
+        prog='odometry_node',
+        usage='odometry_node [-h] [--version] [--ros-args ...]',
+        description='Turns the clouds of topic points into odometry and dynamic points.',
+        epilog='ROS arguments: -r points:=/lidar/points (the topic of the clouds), '
+        '-p NAME:=VALUE (a parameter), --params-file FILE (such as config/node.yaml), '
+        '-r __ns:=/robot (namespace), --log-level LEVEL. docs/ros.md lists topics, services and '
+        'parameters.',
+    )
+    p.add_argument(
+        '--version', action='version', version=f'odometry_node {version("hybridreg_ros")}'
+    )
+    return p
 
 
 def main(args: list[str] | None = None) -> int:
@@ -17,16 +37,28 @@ def main(args: list[str] | None = None) -> int:
 
     Returns:
         0 after shutdown, 2 when the node cannot start (one line on stderr). SIGINT and SIGTERM
-        end the process with 0 from within.
+        end the process with 0 from within; --help, --version and unknown arguments as argparse.
     """
     argv = sys.argv[1:] if args is None else args
     with StopSignals() as stop:
-        from hybridreg_ros.ros.node import run
-
-        code = run(argv, stop)
+        code = _run(argv, stop)
     if stop.asked:
         leave(code)  # a thread may be in a long call
     return code
+
+
+def _run(argv: list[str], stop: StopSignals) -> int:
+    from hybridreg_ros.ros.session import own_arguments
+
+    try:
+        parser().parse_args(own_arguments('odometry_node', argv))
+        from hybridreg_ros.ros.node import run
+
+        run(argv, stop)
+    except HybridRegError as error:
+        sys.stderr.write(f'odometry_node: {error}\n')
+        return 2
+    return 0
 
 
 if __name__ == '__main__':

@@ -9,11 +9,18 @@ signal only asks to stop, so that the cloud in work can be finished and publishe
 from __future__ import annotations
 
 import contextlib
+import itertools
+import re
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import rclpy
+import yaml
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
+from hybridreg_ros.core.errors import ConfigError
 from hybridreg_ros.ros import fastdds
 
 if TYPE_CHECKING:
@@ -22,6 +29,17 @@ if TYPE_CHECKING:
     from rclpy.executors import Executor
 
     from hybridreg_ros.ros.stop_signals import StopSignals
+
+
+_REFUSALS = (
+    rclpy_implementation.RCLError,
+    rclpy_implementation.RCLInvalidROSArgsError,
+    rclpy_implementation.UnknownROSArgsError,
+)
+_PLACES = re.compile(
+    r',? at [^\s:]+:\d+|failed to initialize rcl: |Failed to parse ROS arguments: '
+)
+"""Of rcl's own sources, in its errors."""
 
 
 class Session:
@@ -55,16 +73,65 @@ def _nothing() -> None:
     """What an executor runs to look up."""
 
 
+def check_parameter_files(args: list[str]) -> None:
+    """Make sure that the files of --params-file hold parameters: rcl passes over those without.
+
+    Raises:
+        ConfigError: a file cannot be read, or holds something else.
+    """
+    for option, name in itertools.pairwise(args):
+        if option != '--params-file':
+            continue
+        try:
+            content = yaml.safe_load(Path(name).read_text(encoding='utf-8'))
+        except OSError as error:
+            raise ConfigError(f'parameter file {name}: {error.strerror}') from error
+        except (yaml.YAMLError, UnicodeDecodeError) as error:
+            raise ConfigError(f'parameter file {name}: {" ".join(str(error).split())}') from error
+        if content is not None and not isinstance(content, dict):
+            found = type(content).__name__
+            raise ConfigError(f'parameter file {name}: expected node names, found a {found}')
+
+
 @contextlib.contextmanager
-def ros_session(args: list[str] | None, stop: StopSignals) -> Iterator[Session]:
+def _refusals() -> Iterator[None]:
+    try:
+        yield
+    except _REFUSALS as error:
+        text = ' '.join(_PLACES.sub('', str(error)).split())
+        raise ConfigError(f'ROS arguments not understood: {text}') from error
+
+
+def own_arguments(program: str, args: list[str]) -> list[str]:
+    """The command line without its ROS arguments.
+
+    Args:
+        program: name of the executable.
+        args: command line without it.
+
+    Raises:
+        ConfigError: rclpy does not understand the ROS arguments, or a parameter file.
+    """
+    check_parameter_files(args)
+    with _refusals():
+        own: list[str] = remove_ros_args([program, *args])[1:]
+    return own
+
+
+@contextlib.contextmanager
+def ros_session(args: list[str], stop: StopSignals) -> Iterator[Session]:
     """Prepare the transport, initialise rclpy, and shut it down at the end.
 
     Args:
-        args: command line with ROS arguments; None = that of this process.
+        args: command line with ROS arguments, without the program's name.
         stop: waits for the signals already.
+
+    Raises:
+        ConfigError: rclpy does not understand the arguments.
     """
     transport = fastdds.prepare()
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    with _refusals():
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     stop.end_in_order(_nothing)
     try:
         yield Session(transport, stop)

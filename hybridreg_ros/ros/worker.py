@@ -108,7 +108,7 @@ class Worker:
     def _run(self) -> None:
         """Work until the queue is closed.
 
-        An error that is no HybridRegError is a bug: its traceback goes to stderr, the cloud is
+        An error that is no HybridRegError is a bug: its traceback is logged, the cloud is
         counted, and a new thread goes on with the next cloud.
         """
         finished = False
@@ -119,7 +119,7 @@ class Worker:
             finished = True
         finally:
             if not finished:
-                self._monitor.dropped(Drop.INTERNAL_ERROR, 'see the traceback on stderr')
+                self._monitor.dropped(Drop.INTERNAL_ERROR, 'see the traceback in the log')
                 self._thread = self._new_thread()
                 self._thread.start()
 
@@ -144,6 +144,6 @@ class Worker:
         self._publish_odometry(result)
         switch = self._monitor.processed(result, arrived_s)
         if switch:
-            self._warn(f'switch {switch}', 'see /diagnostics')
+            self._warn('switch', switch)
         elif result.source is Source.LOST:
             self._warn('lost', result.reason.value)

@@ -141,6 +141,7 @@ def good():
         ({'fields': (Field('x', 0, 7, 1),)}, 'lacks field y, z; found: x'),
         ({'point_step': 8}, 'wrong point_step'),
         ({'point_step': 0}, 'point_step is 0'),
+        ({'point_step': 1 << 17}, 'point_step is 131072, expected at most 65536'),
         ({'row_step': 10}, 'row_step is 10, expected >= '),
         ({'data': np.zeros(7, np.uint8)}, 'truncated data: 1x10 points need 120 bytes, found 7'),
         ({'fields': (Field('x', 0, 9, 1),)}, 'unknown datatype 9'),

@@ -56,6 +56,51 @@ def test_bad_parameters_are_one_line_and_code_2(arguments, text, capfd, monkeypa
     assert text in lines[0]
 
 
+@pytest.mark.parametrize(
+    ('arguments', 'text'),
+    [
+        (('--params-file', '/nowhere.yaml'), 'parameter file /nowhere.yaml: No such file'),
+        (('--params-file', '{broken}'), 'broken.yaml: while parsing a flow sequence'),
+        (('--params-file', '{plain}'), 'plain.yaml: expected node names, found a str'),
+        (('--params-file', '{mixed}'), 'Sequence should be of same type'),
+        (('--params-file',), 'No file path provided'),
+        (('-r', 'nonsense'), "Couldn't parse remap rule: '-r nonsense'"),
+        (('--nonsense',), "ROS arguments not understood: ['--nonsense']"),
+    ],
+)
+def test_bad_ros_arguments_are_one_line_and_code_2(arguments, text, tmp_path, capfd):
+    texts = {
+        'broken': 'a: [1, x',
+        'plain': 'hello',
+        'mixed': '/**: {ros__parameters: {a: [1, x]}}',
+    }
+    files = {name: tmp_path / f'{name}.yaml' for name in texts}
+    for name, path in files.items():
+        path.write_text(texts[name])
+    assert main(['--ros-args', *(a.format(**files) for a in arguments)]) == 2
+    line = capfd.readouterr().err
+    assert line.startswith('odometry_node: ')
+    assert line.count('\n') == 1
+    assert text in line
+    assert '.c:' not in line
+
+
+@pytest.mark.parametrize(
+    ('argument', 'code', 'text'),
+    [
+        ('--help', 0, '-r points:=/lidar/points'),
+        ('--version', 0, 'odometry_node 0.'),
+        ('--hlep', 2, 'unrecognized arguments: --hlep'),
+        ('stray', 2, 'unrecognized arguments: stray'),
+    ],
+)
+def test_help_version_and_strays_are_answered_without_a_start(argument, code, text, capfd):
+    with pytest.raises(SystemExit) as end:
+        main([argument, '--ros-args', '-r', 'points:=/lidar/points'])
+    assert end.value.code == code
+    assert text in ''.join(capfd.readouterr())
+
+
 def test_threads_of_the_node_share_one_heap(monkeypatch):
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain()))
     asked = []

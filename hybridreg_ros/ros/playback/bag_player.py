@@ -6,13 +6,16 @@ from __future__ import annotations
 
 import argparse
 import sys
+from importlib.metadata import version
 
+from hybridreg_ros.core.errors import HybridRegError
 from hybridreg_ros.ros.stop_signals import StopSignals, leave
 
 
 def parser() -> argparse.ArgumentParser:
     """Command line of the player."""
     p = argparse.ArgumentParser(prog='bag_player', description=__doc__)
+    p.add_argument('--version', action='version', version=f'bag_player {version("hybridreg_ros")}')
     p.add_argument('bag', help='rosbag2 file (.mcap, .db3) or directory')
     p.add_argument('--topics', nargs='+', default=[], help='topics to play, default all')
     p.add_argument('--rate', type=float, default=1.0, help='speed, 1 = as recorded')
@@ -49,15 +52,24 @@ def main(args: list[str] | None = None) -> int:
     """
     argv = sys.argv[1:] if args is None else args
     with StopSignals() as stop:
-        from rclpy.utilities import remove_ros_args
-
-        parsed = parser().parse_args(remove_ros_args(['bag_player', *argv])[1:])
-        from hybridreg_ros.ros.playback.playing import run
-
-        code = run(parsed, argv, stop)
+        code = _run(argv, stop)
     if stop.asked:
         leave(code)
     return code
+
+
+def _run(argv: list[str], stop: StopSignals) -> int:
+    from hybridreg_ros.ros.session import own_arguments
+
+    try:
+        parsed = parser().parse_args(own_arguments('bag_player', argv))
+        from hybridreg_ros.ros.playback.playing import run
+
+        run(parsed, argv, stop)
+    except HybridRegError as error:
+        sys.stderr.write(f'bag_player: {error}\n')
+        return 2
+    return 0
 
 
 if __name__ == '__main__':

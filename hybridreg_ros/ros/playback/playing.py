@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import contextlib
-import sys
 import threading
 from typing import TYPE_CHECKING, Any
 
@@ -132,7 +131,7 @@ def _wait(
         raise HybridRegError(f'no diagnostics of node {target} within {wait_s:g} s (see --node)')
 
 
-def run(args: argparse.Namespace, argv: list[str], stop: StopSignals) -> int:
+def run(args: argparse.Namespace, argv: list[str], stop: StopSignals) -> None:
     """Play a bag, and say what was played.
 
     Args:
@@ -140,22 +139,16 @@ def run(args: argparse.Namespace, argv: list[str], stop: StopSignals) -> int:
         argv: the same with its ROS arguments.
         stop: waits for the signals already.
 
-    Returns:
-        0 at the end of the bag or after a signal, 2 after an error (one line on stderr).
+    Raises:
+        HybridRegError: bad options, a bad bag, or nobody listens.
     """
     with ros_session(argv, stop) as session:
-        node: Node | None = None
+        node = rclpy.create_node('bag_player')
         try:
-            node = rclpy.create_node('bag_player')
             report = play(node, args, lambda: session.active)
             sent = ', '.join(f'{topic} {n}' for topic, n in sorted(report.sent.items()))
             node.get_logger().info(
                 f'played {sent or "nothing"} in {report.seconds:.1f} s, {report.late} late'
             )
-        except HybridRegError as error:
-            sys.stderr.write(f'bag_player: {error}\n')
-            return 2
         finally:
-            if node is not None:
-                node.destroy_node()
-    return 0
+            node.destroy_node()

@@ -11,7 +11,9 @@ import numpy as np
 from hybridreg_ros.core.config import dump_yaml, option, validate
 from hybridreg_ros.core.errors import ConfigError
 
-RESTART_ONLY = ('weights', 'input_qos', 'input_qos_depth', 'extrinsic_source')
+RESTART_ONLY = (
+    'weights', 'input_qos', 'input_qos_depth', 'base_frame', 'extrinsic_source', 'extrinsic',
+)  # fmt: skip
 """Fields that are read when the node starts; the parameter server refuses to change them."""
 
 

@@ -8,6 +8,7 @@ import threading
 from collections import deque
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
@@ -27,7 +28,6 @@ from hybridreg_ros.ros.transforms import (
 )
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
     from rclpy.node import Node
 
@@ -67,6 +67,7 @@ class Outputs:
         self._closed = False
         self._poses: deque[PoseStamped] = deque(maxlen=config.path_length)
         self._listener: StaticListener | None = None
+        self._used: NDArray[np.float64] | None = None
         if config.base_frame and config.extrinsic_source == 'tf':
             self._listener = StaticListener(node)
         self.configure(config, threshold)
@@ -86,12 +87,7 @@ class Outputs:
         Args:
             config: frames and switches.
             threshold: points from this P(dynamic) on go to the dynamic cloud.
-
-        Raises:
-            DependencyError: the extrinsic shall come from /tf_static and tf2_msgs is missing.
         """
-        if config.base_frame and config.extrinsic_source == 'tf' and self._listener is None:
-            self._listener = StaticListener(self._node)
         with self._lock:
             self._poses = deque(self._poses, maxlen=config.path_length)
         self._config = config
@@ -107,9 +103,10 @@ class Outputs:
         return 'on' if self.tf_available else MISSING
 
     def forget(self) -> None:
-        """Clear the path after a reset."""
+        """Clear the path and take the sensor's pose in the base anew, after a reset."""
         with self._lock:
             self._poses.clear()
+        self._used = None
 
     def close(self) -> None:
         """Publish nothing any more; a publication in work ends first."""
@@ -160,19 +157,28 @@ class Outputs:
     def _extrinsic(
         self, child: str, sensor_frame: str, config: NodeConfig
     ) -> NDArray[np.float64] | None:
-        """Pose of the sensor in the child frame, None for the identity; sets `waiting_for`."""
+        """Pose of the sensor in the child frame, None for the identity; sets `waiting_for`.
+
+        The pose once used is kept until a reset: another one would make the odometry jump.
+        """
         self.waiting_for = ''
         if child == sensor_frame:
             return None
         if config.extrinsic_source == 'parameter':
             return extrinsic_matrix(config.extrinsic)
+        log = self._node.get_logger()
         T = None if self._listener is None else self._listener.lookup(child, sensor_frame)
-        if T is None:
+        if T is None and self._used is None:
             self.waiting_for = (
                 f'odometry held back: /tf_static does not connect {child} and {sensor_frame}'
             )
-            self._node.get_logger().warning(self.waiting_for, throttle_duration_sec=10.0)
-        return T
+            log.warning(self.waiting_for, throttle_duration_sec=10.0)
+        elif self._used is None:
+            self._used = T
+        elif T is not None and not np.allclose(T, self._used, atol=1e-6):
+            text = f'/tf_static has moved {sensor_frame} in {child}: used after ~/reset'
+            log.warning(text, throttle_duration_sec=10.0)
+        return self._used
 
     def _publish_cloud(
         self, publisher: Any, msg: PointCloud2, result: OdometryResult, keep: NDArray[np.bool_]

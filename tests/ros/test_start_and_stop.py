@@ -45,6 +45,7 @@ def start(*arguments: str, **environment: str) -> subprocess.CompletedProcess[st
         (('-p', 'odom_frame:=""'), 'odom_frame: expected a frame name'),
         (('-p', 'base_frame:=odom'), 'base_frame: expected another frame than odom_frame'),
         (('-p', 'extrinsic:=[0.0, 1.0]'), 'extrinsic: expected 7 numbers'),
+        (('-p', 'extrinsic:=[0.,0.,0.,0.,0.,0.,0.]'), 'expected a unit quaternion, found norm 0'),
         (('-p', 'weights:=/nowhere/w.safetensors'), '/nowhere/w.safetensors'),
     ],
 )

@@ -80,7 +80,7 @@ def _about_clouds(state: Snapshot) -> list[tuple[bytes, str]]:
 
 
 def _about_node(state: Snapshot, setting: Setting) -> list[tuple[bytes, str]]:
-    found, last_drop = [], state.last_drop or 'none has been processed yet'
+    found = []
     if not setting.has_weights:
         found.append((WARN, f'no weights, kiss-icp alone: {setting.weights}'))
     elif state.source is Source.KISS_ICP and state.reason not in _CHOSEN:
@@ -92,8 +92,9 @@ def _about_node(state: Snapshot, setting: Setting) -> list[tuple[bytes, str]]:
     elif state.idle_s > setting.input_timeout_s:
         found.append((WARN, f'no cloud for {state.idle_s:.1f} s on {setting.hardware_id}'))
     elif state.odometry_age_s > setting.input_timeout_s:
-        age = f'{state.odometry_age_s:.1f} s'
-        found.append((WARN, f'no odometry for {age}, although clouds come; last: {last_drop}'))
+        text = f'no odometry for {state.odometry_age_s:.1f} s, although clouds come'
+        told = state.recent_drops or not state.last_drop
+        found.append((WARN, text if told else f'{text}; last: {state.last_drop}'))
     if setting.waiting_for:
         found.append((WARN, setting.waiting_for))
     if setting.transport_warning:

@@ -50,7 +50,14 @@ class StopSignals:
         self._thread = threading.Thread(target=self._wait, name='signals', daemon=True)
 
     def __enter__(self) -> StopSignals:
-        """Block the signals and wait for them from now on."""
+        """Block the signals and wait for them from now on.
+
+        A script that starts a process in the background has it ignore SIGINT; here it counts.
+        """
+        if threading.current_thread() is threading.main_thread():
+            for number in _SIGNALS:
+                if signal.getsignal(number) is signal.SIG_IGN:
+                    signal.signal(number, signal.SIG_DFL)
         self._before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
         self._thread.start()
         return self

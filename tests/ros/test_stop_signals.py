@@ -68,6 +68,16 @@ def test_an_orderly_end_is_waited_for_and_a_second_signal_does_not_disturb_it():
     assert end(process, *BOTH) == (0, 'orderly\n')
 
 
+def test_a_process_in_the_background_of_a_script_ends_too():
+    code = _HEAD + 'with StopSignals():\n print("there", flush=True)\n time.sleep(100)'
+    script = '"$0" -c "$1" & sleep 2; kill -INT $!; wait $!; echo $?'
+    done = subprocess.run(
+        ['sh', '-c', script, sys.executable, code],
+        capture_output=True, text=True, timeout=HANG_S, check=False,
+    )  # fmt: skip
+    assert (done.stdout, done.stderr) == ('there\n0\n', '')
+
+
 def test_without_a_signal_the_signals_are_as_before():
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
     with StopSignals() as stop:

@@ -112,6 +112,9 @@ def play(node: Node, args: argparse.Namespace, active: Callable[[], bool]) -> Pl
             node.get_logger().warning(f'dropped by {args.node}: {dict(flow.dropped)}')
         if opts.reliable and active() and not player.flush(_FLUSH_S):
             node.get_logger().warning('a subscriber has not acknowledged every message')
+        if report.clouds and report.unheard == report.clouds:
+            topics = ', '.join(player.unheard)
+            raise HybridRegError(f'nobody listened to {topics} while it was played{player.hint}')
     return report
 
 
@@ -125,7 +128,8 @@ def _wait(
     """
     heard = not wait_s or player.wait_until(lambda: player.heard, wait_s)
     if not heard and active():
-        raise HybridRegError(f'nobody subscribed to the clouds within {wait_s:g} s')
+        topics = ', '.join(player.unheard)
+        raise HybridRegError(f'nobody subscribed to {topics} within {wait_s:g} s{player.hint}')
     found = flow is None or player.wait_until(lambda: flow.seen, wait_s)
     if not found and active():
         raise HybridRegError(f'no diagnostics of node {target} within {wait_s:g} s (see --node)')
@@ -148,7 +152,8 @@ def run(args: argparse.Namespace, argv: list[str], stop: StopSignals) -> None:
             report = play(node, args, lambda: session.active)
             sent = ', '.join(f'{topic} {n}' for topic, n in sorted(report.sent.items()))
             node.get_logger().info(
-                f'played {sent or "nothing"} in {report.seconds:.1f} s, {report.late} late'
+                f'played {sent or "nothing"} in {report.seconds:.1f} s, {report.late} late, '
+                f'{report.unheard} clouds unheard'
             )
         finally:
             node.destroy_node()

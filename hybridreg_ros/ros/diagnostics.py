@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
+TWINS = (
+    'of this name publish the same odometry and /tf: give each node a name or namespace of its '
+    'own (-r __node:=NAME, -r __ns:=/NAME)'
+)
 _CHOSEN = (Reason.OK, Reason.REGISTRAR_KISS_ICP, Reason.FIRST_SCAN)
 
 
@@ -39,6 +43,7 @@ class Setting:
         paused: True between ~/pause and ~/resume.
         starting: what the node does before it subscribes, '' once it has.
         waiting_for: text while outputs are held back (extrinsic unknown), else ''.
+        rivals: other nodes that publish odometry under the same name.
         queue: clouds waiting.
         tf: state of the /tf output.
     """
@@ -53,6 +58,7 @@ class Setting:
     paused: bool
     starting: str
     waiting_for: str
+    rivals: int
     queue: int
     tf: str
 
@@ -95,6 +101,8 @@ def _about_node(state: Snapshot, setting: Setting) -> list[tuple[bytes, str]]:
         text = f'no odometry for {state.odometry_age_s:.1f} s, although clouds come'
         told = state.recent_drops or not state.last_drop
         found.append((WARN, text if told else f'{text}; last: {state.last_drop}'))
+    if setting.rivals:
+        found.append((ERROR, f'{setting.rivals} more {TWINS}'))
     if setting.waiting_for:
         found.append((WARN, setting.waiting_for))
     if setting.transport_warning:

@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 from hybridreg_ros.core.pages import one_heap
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.ros import fastdds
-from hybridreg_ros.ros.diagnostics import Setting, to_array
+from hybridreg_ros.ros.diagnostics import TWINS, Setting, to_array
 from hybridreg_ros.ros.front_end import Building, FrontEnd
 from hybridreg_ros.ros.journal import Journal
 from hybridreg_ros.ros.monitor import Drop, Monitor
@@ -175,6 +175,9 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
         """Publish the state of the node."""
         name = self.get_fully_qualified_name().lstrip('/')
         made, source = self._front_end, self._input
+        rivals = self._outputs.rivals
+        if rivals:
+            self._journal.warn('twins', f'{rivals} more {TWINS}')
         setting = Setting(
             name=f'{name}: odometry',
             hardware_id=self.resolve_topic_name('points'),
@@ -186,6 +189,7 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
             paused=self._paused,
             starting=self._building.state if made is None else '',
             waiting_for=self._outputs.waiting_for,
+            rivals=rivals,
             queue=self._worker.waiting if self._worker else 0,
             tf=self._outputs.tf_state,
         )

@@ -21,7 +21,7 @@ from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.ros import node
 from hybridreg_ros.ros.odometry_node import main
 from hybridreg_ros.ros.parameters import leaves
-from hybridreg_ros.ros.playback.node_process import LOCALHOST
+from hybridreg_ros.ros.playback.node_process import LOCALHOST, NodeProcess
 
 pytestmark = pytest.mark.ros
 
@@ -180,3 +180,15 @@ def test_changes_out_of_range_are_refused_with_the_reason(probe, name, value, re
     result = probe.set(name, value)
     assert not result.successful
     assert re.search(reason, result.reason), result.reason
+
+
+def test_two_nodes_of_one_name_are_an_error_that_both_say(probe):
+    levels = probe.watch_levels()
+    space = probe.node.get_namespace()
+    with NodeProcess((KISS, QUICK), space, domain()) as second:
+        probe.wait(lambda: '1 more of this name publish the same odometry' in probe.text, 'word')
+        assert DiagnosticStatus.ERROR in levels
+        second.wait_until(lambda: 'twins: 1 more' in second.log.read_text(), 60.0, 'its warning')
+        assert 'twins: 1 more' in probe.process.log.read_text()
+        assert second.stop() == 0
+    probe.wait(lambda: 'of this name' not in probe.text, 'the end of it')

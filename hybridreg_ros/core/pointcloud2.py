@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 TIME_FIELDS = ('t', 'time', 'timestamp', 'offset_time', 'time_stamp', 'times', 'stamp')
 """Names under which lidar drivers store per-point times (Ouster, Velodyne, Hesai, Livox, ...)."""
 
+MOST_POINTS = 400_000
+"""Points of a cloud that an odometry has use for: more than a depth camera of 640 x 480 has."""
+
 _FORMATS = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
 _MAX_STEP = 1 << 16
 """Bytes that a point may have; with more, a layout is broken and numpy's types may not hold it."""
@@ -64,13 +67,16 @@ class CloudData:
     is_dense: bool
 
 
-def to_scan(msg: Any, time_unit: str = 'auto', scan_period_s: float = 0.1) -> Scan:
+def to_scan(
+    msg: Any, time_unit: str = 'auto', scan_period_s: float = 0.1, max_points: int | None = None
+) -> Scan:
     """Decode a PointCloud2 message: any field layout, offset, padding and byte order.
 
     Args:
         msg: object with the attributes of sensor_msgs/PointCloud2 (rclpy, rosbags or alike).
         time_unit: unit of the per-point times: auto, s, ms, us, ns, normalised or none.
         scan_period_s: seconds that a normalised time of 1 stands for.
+        max_points: of a cloud with more, every second, third, ... row is taken; None = all.
 
     Returns:
         The scan; rows with a NaN or inf coordinate are left out of every field. `Scan.notes` says
@@ -85,7 +91,9 @@ def to_scan(msg: Any, time_unit: str = 'auto', scan_period_s: float = 0.1) -> Sc
     if missing:
         found = ', '.join(layout.names or ()) or 'none'
         raise PointCloudError(f'PointCloud2 lacks field {", ".join(missing)}; found: {found}')
-    table = rows_data.view(layout).reshape(-1)
+    whole = rows_data.view(layout).reshape(-1)
+    every = max(1, -(-len(whole) // max_points)) if max_points else 1
+    table = whole[::every]
     xyz = np.empty((len(table), 3), dtype=np.float32)
     with np.errstate(over='ignore', invalid='ignore'):
         for column, axis in enumerate('xyz'):
@@ -106,8 +114,9 @@ def to_scan(msg: Any, time_unit: str = 'auto', scan_period_s: float = 0.1) -> Sc
         times=times,
         stamp=stamp,
         frame_id=str(msg.header.frame_id),
-        rows=rows,
-        size=len(table),
+        rows=rows * every,
+        size=len(whole),
+        thinned=len(whole) - len(table),
         shape=(int(msg.height), int(msg.width)),
         notes=notes,
     )

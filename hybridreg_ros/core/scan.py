@@ -29,6 +29,7 @@ class Scan:
         frame_id: name of the sensor frame.
         rows: (N,) int64, row of each point in its message (rows with NaN are skipped).
         size: number of rows of that message, dropped ones included.
+        thinned: rows of that message that were passed over because there are so many.
         shape: (height, width) of the message; height > 1 means an organised cloud.
         notes: what could not be used of the message (one line each), for logs and diagnostics.
     """
@@ -39,6 +40,7 @@ class Scan:
     frame_id: str = ''
     rows: NDArray[np.int64] = field(default_factory=lambda: _NO_ROWS)
     size: int = -1
+    thinned: int = 0
     shape: tuple[int, int] = (0, 0)
     notes: tuple[str, ...] = ()
 
@@ -87,4 +89,4 @@ class Scan:
     @property
     def dropped(self) -> int:
         """Rows of the message that held NaN or inf and are not in `points`."""
-        return self.size - len(self.points)
+        return self.size - self.thinned - len(self.points)

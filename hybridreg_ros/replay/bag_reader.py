@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from hybridreg_ros.core import pointcloud2, se3
+from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import BagError, PointCloudError
+from hybridreg_ros.core.pointcloud2 import MOST_POINTS, to_scan
 from hybridreg_ros.core.quaternion import from_quaternion
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.metrics.trajectory import Trajectory
@@ -175,7 +176,7 @@ class Bag:
             ) from None
 
     def frames(self, topic: str | None = None, time_unit: str = 'auto') -> Iterator[CloudFrame]:
-        """Clouds in stamp order, unusable ones included with their reason.
+        """Clouds in stamp order, unusable ones included with their reason; thinned as live.
 
         Args:
             topic: PointCloud2 topic; None takes the only one.
@@ -185,9 +186,8 @@ class Bag:
             cloud: Any = None
             try:
                 cloud = self.decode(message)
-                yield CloudFrame(
-                    message.stamp, cloud, pointcloud2.to_scan(cloud, time_unit=time_unit), ''
-                )
+                scan = to_scan(cloud, time_unit=time_unit, max_points=MOST_POINTS)
+                yield CloudFrame(message.stamp, cloud, scan, '')
             except (BagError, PointCloudError) as error:
                 yield CloudFrame(message.stamp, cloud, None, str(error))
 

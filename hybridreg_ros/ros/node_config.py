@@ -10,6 +10,7 @@ import numpy as np
 
 from hybridreg_ros.core.config import dump_yaml, option, validate
 from hybridreg_ros.core.errors import ConfigError
+from hybridreg_ros.core.pointcloud2 import MOST_POINTS
 
 RESTART_ONLY = (
     'weights', 'input_qos', 'input_qos_depth', 'base_frame', 'extrinsic_source', 'extrinsic',
@@ -64,6 +65,12 @@ class NodeConfig:
     )
     max_cloud_points: int = option(
         4_000_000, 'larger clouds are dropped and counted', low=1000, high=100_000_000
+    )
+    decode_points: int = option(
+        MOST_POINTS,
+        'of larger clouds only every second, third, ... point is used and sent out',
+        low=1000,
+        high=100_000_000,
     )
     input_timeout_s: float = option(
         2.0,

@@ -69,8 +69,8 @@ class Worker:
         self._thread.start()
 
     def configure(self, config: NodeConfig) -> None:
-        """Take queue depth, drop policy and unit of per-point times from a config."""
-        self._times = (config.time_unit, config.scan_period_s)
+        """Take queue depth, drop policy and what the decoder needs from a config."""
+        self._decoding = (config.time_unit, config.scan_period_s, config.decode_points)
         gone = self._queue.configure(config.queue_depth, config.drop_policy == 'oldest')
         if gone:
             self._monitor.dropped(Drop.QUEUE_FULL, 'queue_depth was reduced', gone)
@@ -125,7 +125,7 @@ class Worker:
 
     def _handle(self, arrival: Arrival) -> None:
         try:
-            scan = to_scan(arrival.message, *self._times)
+            scan = to_scan(arrival.message, *self._decoding)
             result = self._front_end.step(scan, partial(self._posed, arrival.time_s))
         except HybridRegError as error:
             self._monitor.dropped(Drop.BAD_CLOUD, str(error))

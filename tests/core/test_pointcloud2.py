@@ -172,3 +172,15 @@ def test_encoder_and_field_errors():
     msg = message(from_arrays(points, {'p': np.zeros(2, np.uint8)}))
     with pytest.raises(PointCloudError, match='exists with datatype 2, expected 7'):
         with_field(msg, scan, 'p', np.zeros(2, np.float32), np.ones(2, bool))
+
+
+def test_large_clouds_are_thinned_and_their_rows_stay_known():
+    points = np.arange(33, dtype=np.float32).reshape(11, 3)
+    points[3] = np.nan
+    msg = message(from_arrays(points, {'t': np.linspace(0.0, 0.1, 11)}))
+    scan = to_scan(msg, max_points=4)
+    np.testing.assert_array_equal(scan.rows, [0, 6, 9])
+    np.testing.assert_array_equal(scan.points, points[[0, 6, 9]])
+    np.testing.assert_allclose(scan.times, [0.0, 0.06, 0.09])
+    assert (scan.size, scan.thinned, scan.dropped) == (11, 7, 1)
+    assert len(to_scan(msg, max_points=11)) == len(to_scan(msg)) == 10

@@ -4,8 +4,10 @@
 
 from __future__ import annotations
 
+import re
 import time
 from itertools import count
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,16 +15,13 @@ import pytest
 pytest.importorskip('rclpy', reason='rclpy is not installed (pip install hybridreg_ros[ros])')
 
 from array import array
-from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from ros_harness import KISS, STEP_NS, cloud, room, running
+from sensor_msgs.msg import PointCloud2
 
 from hybridreg_ros.odometry.result import LOST_VARIANCE
 from hybridreg_ros.ros.playback.fuzz_check import check_fuzz
-
-if TYPE_CHECKING:
-    from sensor_msgs.msg import PointCloud2
 
 pytestmark = pytest.mark.ros
 
@@ -263,11 +262,29 @@ def test_poses_among_broken_clouds_are_those_without_them_bit_by_bit():
     assert sum(report.dropped.values()) == report.sent == 300
 
 
-@pytest.mark.slow
-def test_ten_million_points_pass_when_allowed():
-    with running('huge', max_cloud_points=20_000_000, input_qos='reliable') as probe:
-        probe.answer(cloud(room(), STEP_NS))
-        huge = np.tile(room(0.05), (2858, 1))[:10_000_000]
-        p = probe.answer(cloud(huge, 2 * STEP_NS)).pose.pose.position
-        assert p.x == pytest.approx(0.05, abs=0.03)
-        assert probe.answer(cloud(room(0.1), 3 * STEP_NS)).pose.pose.position.x < 0.15
+def peak_mb(pid: int) -> float:
+    """Largest resident memory of a process so far."""
+    text = Path(f'/proc/{pid}/status').read_text(encoding='utf-8')
+    return int(re.search(r'VmHWM:\s*(\d+)', text)[1]) / 1024
+
+
+def test_two_million_points_are_thinned_and_memory_is_bounded():
+    settings = {'decode_points': 100_000, 'input_qos': 'reliable', 'max_cloud_points': 4_000_000}
+    with running('large', **settings) as probe:
+        probe.listen('static_points', PointCloud2)
+        probe.listen('dynamic_points', PointCloud2)
+        probe.wait(lambda: probe.publishers_matched('static_points', 'dynamic_points'), 'match')
+        before = 0.0
+        for k in range(4):
+            huge = np.repeat(room(0.05 * k), 572, axis=0)[:2_000_000]
+            s = stamp()
+            assert probe.answer(cloud(huge, s)).pose.pose.position.x == pytest.approx(
+                0.05 * k, abs=0.03
+            )
+            parts = [
+                probe.wait(lambda t=topic, s=s: probe.at(s, t), topic)
+                for topic in ('static_points', 'dynamic_points')
+            ]
+            assert sum(p.width for p in parts) == 100_000
+            before = before or peak_mb(probe.process.pid)
+        assert peak_mb(probe.process.pid) - before < 100.0

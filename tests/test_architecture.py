@@ -42,6 +42,8 @@ ALLOWED = {
 EXCEPTIONS = {
     # The bag player is the one executable of ros/ that reads bags.
     ('ros/playback/playing.py', 'replay'),
+    # The one writer of cloud files writes the map too.
+    ('ros/node.py', 'data'),
 }
 LEAVES = 'ros/stop_signals.py'
 """The one module that ends the process: a signal does."""

@@ -5,17 +5,24 @@
 from __future__ import annotations
 
 import contextlib
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from hybridreg_ros.core.errors import FileFormatError
 from hybridreg_ros.core.pages import one_heap
+from hybridreg_ros.data.loaders.clouds import write_cloud
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.ros import fastdds
+from hybridreg_ros.ros.conversions import from_pose
 from hybridreg_ros.ros.diagnostics import TWINS, Setting, to_array
 from hybridreg_ros.ros.front_end import Building, FrontEnd
 from hybridreg_ros.ros.journal import Journal
@@ -26,12 +33,15 @@ from hybridreg_ros.ros.parameters import ConfigParameters, leaves
 from hybridreg_ros.ros.qos import profile
 from hybridreg_ros.ros.session import ros_session
 from hybridreg_ros.ros.subscription import CloudSubscription
+from hybridreg_ros.ros.transforms import pose_matrix
 from hybridreg_ros.ros.worker import Arrival, Worker
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
     from rclpy.timer import Timer
     from sensor_msgs.msg import PointCloud2
 
+    from hybridreg_ros.odometry.result import OdometryResult
     from hybridreg_ros.ros.session import Session
     from hybridreg_ros.ros.stop_signals import StopSignals
 
@@ -75,9 +85,14 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
         self._input: CloudSubscription | None = None
         self._triggers = [
             self.create_service(Trigger, '~/reset', self._on_reset),
+            self.create_service(Trigger, '~/reset_to_pose', self._on_reset_to_pose),
+            self.create_service(Trigger, '~/save_map', self._on_save_map),
             self.create_service(Trigger, '~/pause', self._on_pause),
             self.create_service(Trigger, '~/resume', self._on_resume),
         ]
+        self._initial = self.create_subscription(
+            PoseWithCovarianceStamped, '~/initial_pose', self._on_initial_pose, 10
+        )
         self._diagnostics = self.create_publisher(
             DiagnosticArray, '/diagnostics', profile(reliable=True, depth=10)
         )
@@ -112,7 +127,7 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
             config,
             self._monitor,
             self._outputs.publish_odometry,
-            self._outputs.publish,
+            self._publish,
             self._journal.warn,
         )
         self._worker.start()
@@ -120,6 +135,12 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
         self._input = CloudSubscription(
             self, config.input_qos, config.input_qos_depth, self._on_cloud, self._on_lost
         )
+
+    def _publish(self, msg: PointCloud2, result: OdometryResult) -> None:
+        """Publish what follows the odometry; called in the worker's thread."""
+        self._outputs.publish(msg, result)
+        if self._front_end is not None:
+            self._outputs.publish_map(self._front_end.odometry.map_points, result)
 
     def _on_cloud(self, msg: PointCloud2) -> None:
         """Queue a cloud, or count why not; never blocks."""
@@ -151,12 +172,56 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
             self._timer.timer_period_ns = period_ns
             self._timer.reset()
 
+    def _restart(self, T_odom_start: NDArray[np.float64]) -> None:
+        """Forget pose and map; the base is at T_odom_start (4, 4) when the next cloud comes."""
+        restart = partial(self._outputs.restart, T_odom_start)
+        if self._worker is None:
+            restart()
+        else:
+            self._worker.reset(restart)
+
     def _on_reset(self, _: Any, response: Trigger.Response) -> Trigger.Response:
         """Start again at the origin with an empty map."""
-        if self._worker is not None:
-            self._worker.reset()
-        self._outputs.forget()
+        self._restart(np.eye(4))
         response.success, response.message = True, 'pose and map cleared'
+        return response
+
+    def _on_reset_to_pose(self, _: Any, response: Trigger.Response) -> Trigger.Response:
+        """Start again at the parameter initial_pose with an empty map."""
+        values = self._configs[1].initial_pose
+        self._restart(pose_matrix(values))
+        response.success = True
+        response.message = f'map cleared, pose is {" ".join(f"{v:g}" for v in values)}'
+        return response
+
+    def _on_initial_pose(self, msg: PoseWithCovarianceStamped) -> None:
+        """Start again at a pose; its covariance is not used."""
+        frame, odom_frame = msg.header.frame_id.lstrip('/'), self._configs[1].odom_frame
+        try:
+            T_odom_start = from_pose(msg.pose.pose)
+        except FileFormatError as error:
+            self._journal.warn('initial_pose', str(error))
+            return
+        if frame not in ('', odom_frame) or not np.isfinite(T_odom_start).all():
+            text = f'expected a finite pose in frame {odom_frame}, found frame {frame!r}'
+            self._journal.warn('initial_pose', text)
+            return
+        self._restart(T_odom_start)
+
+    def _on_save_map(self, _: Any, response: Trigger.Response) -> Trigger.Response:
+        """Write the static points of the local map, odom frame, to the parameter map_file."""
+        path = Path(self._configs[1].map_file).expanduser().resolve()
+        if self._worker is None:
+            response.message = 'no map yet: the node is starting'
+            return response
+        points = self._outputs.in_odom(self._worker.map_points())
+        try:
+            write_cloud(path, points)
+        except FileFormatError as error:
+            response.message = str(error)
+            return response
+        response.success = len(points) > 0
+        response.message = f'{len(points)} points in {path}'
         return response
 
     def _on_pause(self, _: Any, response: Trigger.Response) -> Trigger.Response:

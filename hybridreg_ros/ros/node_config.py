@@ -38,10 +38,19 @@ class NodeConfig:
         (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
         'pose of the sensor in base_frame, for extrinsic_source parameter: x y z (m) qx qy qz qw',
     )
+    initial_pose: tuple[float, ...] = option(
+        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
+        'pose of base_frame in odom_frame at the start and after ~/reset_to_pose: '
+        'x y z (m) qx qy qz qw',
+    )
     publish_tf: bool = option(True, 'publish odom_frame to base_frame on /tf')
     invert_tf: bool = option(False, 'publish base_frame to odom_frame instead (odom as a leaf)')
     publish_keyframe: bool = option(False, 'publish the static points of new keyframes')
     publish_path: bool = option(False, 'publish the poses so far as nav_msgs/Path')
+    local_map_period_s: float = option(
+        1.0, 'seconds between two messages of ~/local_map', low=0.05, high=3600.0
+    )
+    map_file: str = option('map.ply', 'file that ~/save_map writes: .ply, .pcd or .npy')
     path_length: int = option(
         2000, 'poses kept in the path; the oldest go first', low=2, high=100_000
     )
@@ -85,13 +94,8 @@ class NodeConfig:
     def __post_init__(self) -> None:
         """Check ranges; see the class for what is raised."""
         validate(self)
-        if len(self.extrinsic) != 7:
-            raise ConfigError(
-                f'extrinsic: expected 7 numbers x y z qx qy qz qw, found {len(self.extrinsic)}'
-            )
-        norm = float(np.linalg.norm(self.extrinsic[3:]))
-        if not abs(norm - 1.0) < 1e-3:
-            raise ConfigError(f'extrinsic: expected a unit quaternion, found norm {norm:.4g}')
+        for name in ('extrinsic', 'initial_pose'):
+            _check_pose(name, getattr(self, name))
         for name in ('odom_frame', 'base_frame'):
             value = getattr(self, name)
             if value.startswith('/'):
@@ -102,6 +106,16 @@ class NodeConfig:
             raise ConfigError(
                 f'base_frame: expected another frame than odom_frame {self.odom_frame!r}'
             )
+
+
+def _check_pose(name: str, values: tuple[float, ...]) -> None:
+    if len(values) != 7:
+        raise ConfigError(f'{name}: expected 7 numbers x y z qx qy qz qw, found {len(values)}')
+    norm = float(np.linalg.norm(values[3:]))
+    if not abs(norm - 1.0) < 1e-3:
+        raise ConfigError(f'{name}: expected a unit quaternion, found norm {norm:.4g}')
+    if not np.isfinite(values).all():
+        raise ConfigError(f'{name}: expected finite numbers, found {values}')
 
 
 def parameter_file(config: NodeConfig | None = None) -> str:

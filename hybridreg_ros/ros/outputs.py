@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from typing import TYPE_CHECKING, Any
 
@@ -13,21 +14,25 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
 
+from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import PointCloudError
-from hybridreg_ros.core.pointcloud2 import with_field
+from hybridreg_ros.core.pointcloud2 import from_arrays, with_field
 from hybridreg_ros.odometry.result import Source
-from hybridreg_ros.ros.conversions import to_odometry, to_pointcloud2, to_transform
+from hybridreg_ros.ros.conversions import to_odometry, to_pointcloud2, to_time, to_transform
 from hybridreg_ros.ros.diagnostics import of_frame
 from hybridreg_ros.ros.qos import profile, publisher_events
 from hybridreg_ros.ros.transforms import (
     MISSING,
     Broadcaster,
     StaticListener,
-    extrinsic_matrix,
+    pose_matrix,
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
     from rclpy.node import Node
 
@@ -39,7 +44,7 @@ _OFFER = 'it is offered reliable, volatile'
 
 
 class Outputs:
-    """Publishes results; called from the worker thread, except `configure`, `forget` and `close`.
+    """Publishes results; called from the worker thread, except `configure` and `close`.
 
     Attributes:
         waiting_for: text while odometry is held back because the extrinsic is unknown, else ''.
@@ -61,6 +66,10 @@ class Outputs:
         self._static = self._publisher(PointCloud2, '~/static_points', 5)
         self._keyframe = self._publisher(PointCloud2, '~/keyframe', 5)
         self._path = self._publisher(Path, '~/path', 1)
+        self._map = self._publisher(PointCloud2, '~/local_map', 1)
+        self._map_due_s = 0.0
+        self._start = pose_matrix(config.initial_pose)
+        self._T_odom_map = self._start
         self._frame = self._publisher(DiagnosticArray, '~/frame', 10)
         self._lock = threading.Lock()
         self._closing = threading.Lock()
@@ -107,11 +116,15 @@ class Outputs:
             return 'off'
         return 'on' if self.tf_available else MISSING
 
-    def forget(self) -> None:
-        """Clear the path and take the sensor's pose in the base anew, after a reset."""
+    def restart(self, T_odom_start: NDArray[np.float64]) -> None:
+        """Begin anew after a reset: no path, the sensor's pose in the base is taken again.
+
+        Args:
+            T_odom_start: (4, 4) pose of the base at the first scan.
+        """
         with self._lock:
             self._poses.clear()
-        self._used = None
+        self._used, self._start = None, T_odom_start
 
     def close(self) -> None:
         """Publish nothing any more; a publication in work ends first."""
@@ -148,7 +161,8 @@ class Outputs:
         T_base_sensor = self._extrinsic(child, sensor_frame, config)
         if self.waiting_for:
             return
-        msg = to_odometry(result, config.odom_frame, child, T_base_sensor)
+        msg = to_odometry(result, config.odom_frame, child, T_base_sensor, self._start)
+        self._T_odom_map = self._start if T_base_sensor is None else self._start @ T_base_sensor
         self._odometry.publish(msg)
         if config.publish_tf and result.source is not Source.LOST and child:
             self._tf.send(to_transform(msg, config.invert_tf))
@@ -158,6 +172,29 @@ class Outputs:
                 poses = list(self._poses)
             if self._path.get_subscription_count():
                 self._path.publish(Path(header=msg.header, poses=poses))
+
+    def publish_map(
+        self, map_points: Callable[[], NDArray[np.float32]], result: OdometryResult
+    ) -> None:
+        """Publish the local map when it is due and someone listens.
+
+        Args:
+            map_points: gives (N, 3) float32, frame of the front end.
+            result: of the cloud that the map has just taken in.
+        """
+        now_s = time.monotonic()
+        if now_s < self._map_due_s or not self._map.get_subscription_count():
+            return
+        self._map_due_s = now_s + self._config.local_map_period_s
+        header = Header(stamp=to_time(result.stamp), frame_id=self._config.odom_frame)
+        msg = to_pointcloud2(from_arrays(self.in_odom(map_points())), header)
+        with self._closing:
+            if not self._closed:
+                self._map.publish(msg)
+
+    def in_odom(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Points (N, 3) of the map in the odom frame."""
+        return se3.apply(self._T_odom_map, points.astype(np.float64)).astype(np.float32)
 
     def _extrinsic(
         self, child: str, sensor_frame: str, config: NodeConfig
@@ -170,7 +207,7 @@ class Outputs:
         if child == sensor_frame:
             return None
         if config.extrinsic_source == 'parameter':
-            return extrinsic_matrix(config.extrinsic)
+            return pose_matrix(config.extrinsic)
         log = self._node.get_logger()
         T = None if self._listener is None else self._listener.lookup(child, sensor_frame)
         if T is None and self._used is None:

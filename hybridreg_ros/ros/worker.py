@@ -17,6 +17,9 @@ from hybridreg_ros.ros.monitor import Drop, Monitor
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from hybridreg_ros.odometry.frontend import HybridOdometry
     from hybridreg_ros.odometry.result import OdometryResult
     from hybridreg_ros.ros.node_config import NodeConfig
@@ -86,14 +89,24 @@ class Worker:
         """Clouds in the queue."""
         return len(self._queue)
 
-    def reset(self) -> None:
-        """Forget pose and map once the current cloud is done; waiting clouds are dropped."""
+    def reset(self, restart: Callable[[], object]) -> None:
+        """Forget pose and map once the current cloud is done; waiting clouds are dropped.
+
+        Args:
+            restart: called before the next cloud is begun.
+        """
         gone = self._queue.clear()
         with self._busy:
             self._front_end.reset()
             self._monitor.forget()
+            restart()
         if gone:
             self._monitor.dropped(Drop.RESET, 'waiting while ~/reset was called', gone)
+
+    def map_points(self) -> NDArray[np.float32]:
+        """Static points (N, 3) of the local map, front end's frame, after the current cloud."""
+        with self._busy:
+            return self._front_end.map_points()
 
     def stop(self, timeout_s: float = 5.0) -> None:
         """Drop what waits and end the thread after the current cloud.

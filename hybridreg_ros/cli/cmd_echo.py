@@ -23,7 +23,7 @@ def run(args: argparse.Namespace) -> int:
         HybridRegError: nothing came for --wait seconds.
     """
     try:
-        from hybridreg_ros.ros.echo import echo
+        from hybridreg_ros.ros.playback.echo import echo
     except ModuleNotFoundError as error:
         raise DependencyError(
             f"echo needs {error.name}: pip install 'hybridreg_ros[ros]', or source ROS 2 Jazzy"

@@ -19,7 +19,7 @@ from nav_msgs.msg import Odometry
 from ros_harness import STEP_NS, cloud, domain, room, running
 
 from hybridreg_ros.odometry.result import LOST_VARIANCE
-from hybridreg_ros.ros.echo import line
+from hybridreg_ros.ros.playback.echo import line
 from hybridreg_ros.ros.playback.node_process import LOCALHOST
 
 pytestmark = pytest.mark.ros

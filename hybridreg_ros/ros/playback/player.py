@@ -13,7 +13,7 @@ from rosgraph_msgs.msg import Clock
 from hybridreg_ros.core.errors import BagError, DependencyError
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.ros.conversions import to_time
-from hybridreg_ros.ros.interfaces import message_class
+from hybridreg_ros.ros.playback.interfaces import message_class
 from hybridreg_ros.ros.qos import profile, publisher_events
 
 if TYPE_CHECKING:

@@ -13,7 +13,8 @@ from hybridreg_ros.core.errors import ConfigError
 from hybridreg_ros.core.pointcloud2 import MOST_POINTS
 
 RESTART_ONLY = (
-    'weights', 'input_qos', 'input_qos_depth', 'base_frame', 'extrinsic_source', 'extrinsic',
+    'weights', 'input_qos', 'input_qos_depth', 'base_frame', 'guess_frame', 'extrinsic_source',
+    'extrinsic',
 )  # fmt: skip
 """Fields that are read when the node starts; the parameter server refuses to change them."""
 
@@ -37,6 +38,11 @@ class NodeConfig:
     extrinsic: tuple[float, ...] = option(
         (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
         'pose of the sensor in base_frame, for extrinsic_source parameter: x y z (m) qx qy qz qw',
+    )
+    guess_frame: str = option(
+        '',
+        'fixed frame of another odometry (wheels), whose motion of the sensor by /tf a '
+        "registration starts from; '' = constant velocity, as when its transforms stop",
     )
     initial_pose: tuple[float, ...] = option(
         (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
@@ -96,10 +102,15 @@ class NodeConfig:
         validate(self)
         for name in ('extrinsic', 'initial_pose'):
             _check_pose(name, getattr(self, name))
-        for name in ('odom_frame', 'base_frame'):
+        for name in ('odom_frame', 'base_frame', 'guess_frame'):
             value = getattr(self, name)
             if value.startswith('/'):
                 raise ConfigError(f'{name}: expected a frame without leading /, found {value!r}')
+        if self.guess_frame and self.guess_frame in (self.odom_frame, self.base_frame):
+            raise ConfigError(
+                f'guess_frame: expected neither odom_frame nor base_frame, found '
+                f'{self.guess_frame!r}'
+            )
         if not self.odom_frame:
             raise ConfigError("odom_frame: expected a frame name, found ''")
         if self.odom_frame == self.base_frame:

@@ -38,7 +38,7 @@ SETTING = Setting(
     name='hybridreg: odometry', hardware_id='/points', weights='packaged', has_weights=True,
     transport='shared memory', transport_warning=False, input_timeout_s=60.0, paused=False,
     starting='',
-    waiting_for='', rivals=0, queue=0, tf='on',
+    waiting_for='', guess='', rivals=0, queue=0, tf='on',
 )  # fmt: skip
 
 

@@ -43,7 +43,7 @@ class Setting:
         paused: True between ~/pause and ~/resume.
         starting: what the node does before it subscribes, '' once it has.
         waiting_for: text while outputs are held back (extrinsic unknown), else ''.
-        guess: state of the guess by another frame, '' when none is asked for.
+        guides: state of what corrects the prediction (guess, imu), by name.
         rivals: other nodes that publish odometry under the same name.
         queue: clouds waiting.
         tf: state of the /tf output.
@@ -59,7 +59,7 @@ class Setting:
     paused: bool
     starting: str
     waiting_for: str
-    guess: str
+    guides: Mapping[str, str]
     rivals: int
     queue: int
     tf: str
@@ -105,8 +105,9 @@ def _about_node(state: Snapshot, setting: Setting) -> list[tuple[bytes, str]]:
         found.append((WARN, text if told else f'{text}; last: {state.last_drop}'))
     if setting.rivals:
         found.append((ERROR, f'{setting.rivals} more {TWINS}'))
-    if setting.guess.startswith('no '):
-        found.append((WARN, f'constant velocity instead of the guess: {setting.guess}'))
+    for name, state_of in setting.guides.items():
+        if state_of.startswith('no '):
+            found.append((WARN, f'prediction without {name}: {state_of}'))
     if setting.waiting_for:
         found.append((WARN, setting.waiting_for))
     if setting.transport_warning:
@@ -141,7 +142,7 @@ def status(state: Snapshot, setting: Setting) -> DiagnosticStatus:
         'last_switch': state.last_switch,
         'deskewed': str(state.deskewed).lower(),
         'tf': setting.tf,
-        **({'guess': setting.guess} if setting.guess else {}),
+        **setting.guides,
         'transport': setting.transport,
         **{f'{stage}_ms': f'{1e3 * s:.1f}' for stage, s in state.timings_s.items()},
     }

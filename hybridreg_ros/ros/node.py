@@ -21,13 +21,11 @@ from hybridreg_ros.core.errors import FileFormatError
 from hybridreg_ros.core.pages import one_heap
 from hybridreg_ros.data.loaders.clouds import write_cloud
 from hybridreg_ros.odometry.config import OdometryConfig
-from hybridreg_ros.odometry.motion.guided import GuidedMotion
-from hybridreg_ros.odometry.motion.prediction import Motion
 from hybridreg_ros.ros import fastdds
 from hybridreg_ros.ros.conversions import from_pose
 from hybridreg_ros.ros.diagnostics import TWINS, Setting, to_array
 from hybridreg_ros.ros.front_end import Building, FrontEnd
-from hybridreg_ros.ros.guess import FrameGuess
+from hybridreg_ros.ros.guides.guides import Guides
 from hybridreg_ros.ros.journal import Journal
 from hybridreg_ros.ros.monitor import Drop, Monitor
 from hybridreg_ros.ros.node_config import RESTART_ONLY, NodeConfig
@@ -104,26 +102,14 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
         if self._transport.warning:
             self.get_logger().warning(self._transport.reason)
         self._built = self.create_guard_condition(self._on_built)
-        self._guess = self._make_guess(config)
+        self._guides = Guides(self, config)
         self._building = Building(
-            odometry, config.weights, self.get_logger().info, self._built.trigger,
-            Motion if self._guess is None else partial(GuidedMotion, self._guess),
-        )  # fmt: skip
-
-    def _make_guess(self, config: NodeConfig) -> FrameGuess | None:
-        """What the guess frame says, None without one.
-
-        Raises:
-            DependencyError: tf2_msgs is not installed.
-        """
-        if not config.guess_frame:
-            return None
-        if config.publish_tf and not config.invert_tf:
-            self.get_logger().warning(
-                'guess_frame and publish_tf: the base gets a second parent on /tf; set invert_tf, '
-                'or publish_tf to false'
-            )
-        return FrameGuess(self, config.guess_frame, lambda *edge: config.odom_frame in edge)
+            odometry,
+            config.weights,
+            self.get_logger().info,
+            self._built.trigger,
+            self._guides.motion,
+        )
 
     @property
     def _configs(self) -> tuple[OdometryConfig, NodeConfig]:
@@ -146,6 +132,7 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
             made.odometry,
             config,
             self._monitor,
+            self._guides.begin,
             self._outputs.publish_odometry,
             self._publish,
             self._journal.warn,
@@ -174,8 +161,6 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
             self._monitor.dropped(Drop.TOO_MANY_POINTS, text)
             self._journal.warn(Drop.TOO_MANY_POINTS.value, text)
         elif self._worker is not None:
-            if self._guess is not None:
-                self._guess.sensor_frame = msg.header.frame_id.lstrip('/')
             self._worker.submit(Arrival(msg, time_s))
 
     def _on_lost(self, count: int) -> None:
@@ -276,7 +261,7 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
             paused=self._paused,
             starting=self._building.state if made is None else '',
             waiting_for=self._outputs.waiting_for,
-            guess=self._guess.state if self._guess else '',
+            guides=self._guides.states,
             rivals=rivals,
             queue=self._worker.waiting if self._worker else 0,
             tf=self._outputs.tf_state,

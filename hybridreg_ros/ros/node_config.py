@@ -13,8 +13,8 @@ from hybridreg_ros.core.errors import ConfigError
 from hybridreg_ros.core.pointcloud2 import MOST_POINTS
 
 RESTART_ONLY = (
-    'weights', 'input_qos', 'input_qos_depth', 'base_frame', 'guess_frame', 'extrinsic_source',
-    'extrinsic',
+    'weights', 'input_qos', 'input_qos_depth', 'base_frame', 'guess_frame', 'use_imu',
+    'extrinsic_source', 'extrinsic',
 )  # fmt: skip
 """Fields that are read when the node starts; the parameter server refuses to change them."""
 
@@ -43,6 +43,11 @@ class NodeConfig:
         '',
         'fixed frame of another odometry (wheels), whose motion of the sensor by /tf a '
         "registration starts from; '' = constant velocity, as when its transforms stop",
+    )
+    use_imu: bool = option(
+        False,
+        'take the turn of the sensor, for prediction and deskew, from the angular rates on imu '
+        '(sensor_msgs/Imu), as long as they come',
     )
     initial_pose: tuple[float, ...] = option(
         (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from hybridreg_ros.core.scan import Scan
     from hybridreg_ros.odometry.frontend import HybridOdometry
     from hybridreg_ros.odometry.result import OdometryResult
     from hybridreg_ros.ros.node_config import NodeConfig
@@ -40,6 +41,7 @@ class Worker:
         front_end: HybridOdometry,
         config: NodeConfig,
         monitor: Monitor,
+        begin: Callable[[Scan], None],
         publish_odometry: Callable[[OdometryResult], None],
         publish: Callable[[Any, OdometryResult], None],
         warn: Callable[[str, str], None],
@@ -50,12 +52,14 @@ class Worker:
             front_end: only this thread steps it.
             config: see `configure`.
             monitor: told about every cloud.
+            begin: called in this thread with each scan before it is stepped.
             publish_odometry: called in this thread as soon as the pose of a cloud is known.
             publish: called in this thread with the message and its result, mask included.
             warn: logs cause and text as one line.
         """
         self._front_end = front_end
         self._monitor = monitor
+        self._begin = begin
         self._publish_odometry = publish_odometry
         self._publish = publish
         self._warn = warn
@@ -139,6 +143,7 @@ class Worker:
     def _handle(self, arrival: Arrival) -> None:
         try:
             scan = to_scan(arrival.message, *self._decoding)
+            self._begin(scan)
             result = self._front_end.step(scan, partial(self._posed, arrival.time_s))
         except HybridRegError as error:
             self._monitor.dropped(Drop.BAD_CLOUD, str(error))

@@ -36,3 +36,12 @@ def test_a_guide_that_knows_nothing_leaves_constant_velocity():
     motion.advance(np.eye(4), 10**9)
     motion.advance(STEP, 2 * 10**9)
     np.testing.assert_allclose(motion.predict(3 * 10**9), STEP @ STEP, atol=1e-12)
+
+
+def test_a_measured_rate_is_what_the_next_scan_is_deskewed_by():
+    motion = GuidedMotion(lambda since, until, steady: steady)
+    motion.advance(np.eye(4), 10**9)
+    motion.advance(STEP, 2 * 10**9)
+    linear = motion.twist[:3].copy()
+    motion.turn(np.array([0.0, 0.0, 3.0]))
+    np.testing.assert_array_equal(motion.twist, [*linear, 0.0, 0.0, 3.0])

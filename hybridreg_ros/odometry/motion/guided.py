@@ -6,6 +6,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from hybridreg_ros.core import se3
 from hybridreg_ros.odometry.motion.prediction import Motion
 
@@ -33,6 +35,10 @@ class GuidedMotion(Motion):
         self._guide = guide
         self._asked: tuple[int, int] | None = None
         self._answer = self.pose
+
+    def turn(self, rate: F64) -> None:
+        """Take a measured rate (3,), sensor frame, rad/s, for the deskew of the next scan."""
+        self.twist = np.concatenate([self.twist[:3], rate])
 
     def predict(self, stamp: int) -> F64:
         """Pose (4, 4) at a stamp (ns) as the guide says, which is asked once for each step."""

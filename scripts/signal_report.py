@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How long the node takes to end on a signal, at random moments from its start on.
 
+Its start is when it waits for signals, about a tenth of a second after that of the interpreter.
+
 python scripts/signal_report.py --moments 50
 """
 
@@ -25,7 +27,7 @@ from std_msgs.msg import Header
 from hybridreg_ros.core.pointcloud2 import from_arrays
 from hybridreg_ros.ros.conversions import to_pointcloud2, to_time
 from hybridreg_ros.ros.playback.live import own_node
-from hybridreg_ros.ros.playback.node_process import LOCALHOST
+from hybridreg_ros.ros.playback.node_process import LOCALHOST, waits_for_signals
 from hybridreg_ros.ros.playback.transport_check import hall
 from hybridreg_ros.ros.qos import profile
 
@@ -61,13 +63,15 @@ def feed(node: Node, points: int, stopped: threading.Event) -> None:
 def once(rng: random.Random, longest_s: float, environment: dict[str, str]) -> Ending:
     """Start the node, signal it at a random moment, once or twice, and wait for its end."""
     signals = rng.choice((signal.SIGINT, signal.SIGTERM)), rng.choice((1, 2))
-    after_s = rng.uniform(0.3, longest_s)
+    after_s = rng.uniform(0.0, longest_s)
     with tempfile.TemporaryFile('w+') as log:
         process = subprocess.Popen(
             [sys.executable, '-m', 'hybridreg_ros.ros.odometry_node',
              '--ros-args', '-r', '__ns:=/signals'],
             env=environment, stdout=log, stderr=subprocess.STDOUT,
         )  # fmt: skip
+        while not waits_for_signals(process.pid):
+            time.sleep(0.001)
         time.sleep(after_s)
         began = time.monotonic()
         for k in range(signals[1]):

@@ -74,7 +74,7 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
         super().__init__('hybridreg', automatically_declare_parameters_from_overrides=True)
         self._transport = transport or fastdds.Transport(None, 'chosen by the process around')
         self._paused = False
-        self._journal = Journal(self.get_logger()).open()
+        self._journal = Journal(self.get_logger())
         self._monitor = Monitor()
         self._settings = ConfigParameters(
             self, (OdometryConfig(), NodeConfig()), _FIXED.__contains__, self._on_parameters
@@ -103,6 +103,7 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
             self.get_logger().warning(self._transport.reason)
         self._built = self.create_guard_condition(self._on_built)
         self._guides = Guides(self, config)
+        self._journal.open()
         self._building = Building(
             odometry,
             config.weights,

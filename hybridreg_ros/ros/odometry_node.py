@@ -4,16 +4,20 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
-from importlib.metadata import version
+from typing import TYPE_CHECKING
 
-from hybridreg_ros.core.errors import HybridRegError
 from hybridreg_ros.ros.stop_signals import StopSignals, leave
+
+if TYPE_CHECKING:
+    import argparse
 
 
 def parser() -> argparse.ArgumentParser:
     """Command line of the node, ROS arguments aside."""
+    import argparse  # all imports come after the signals
+    from importlib.metadata import version
+
     p = argparse.ArgumentParser(
         prog='odometry_node',
         usage='odometry_node [-h] [--version] [--ros-args ...]',
@@ -48,6 +52,7 @@ def main(args: list[str] | None = None) -> int:
 
 
 def _run(argv: list[str], stop: StopSignals) -> int:
+    from hybridreg_ros.core.errors import HybridRegError
     from hybridreg_ros.ros.session import own_arguments
 
     try:

@@ -20,7 +20,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from ros_harness import KISS, QUICK, STEP_NS, Probe, cloud, domain, room, running
 
 from hybridreg_ros.odometry.config import OdometryConfig
-from hybridreg_ros.ros.playback.node_process import LOCALHOST, NodeProcess
+from hybridreg_ros.ros.playback.node_process import LOCALHOST, NodeProcess, waits_for_signals
 from hybridreg_ros.ros.stop_signals import StopSignals
 
 pytestmark = pytest.mark.ros
@@ -87,13 +87,15 @@ def test_without_a_signal_the_signals_are_as_before():
 
 
 @pytest.mark.parametrize('signals', [BOTH[:1], BOTH[1:] * 2], ids=str)
-@pytest.mark.parametrize('delay_s', [0.4, 0.8, 1.6])
+@pytest.mark.parametrize('delay_s', [0.0, 0.3, 1.0])
 def test_while_the_node_loads(delay_s, signals):
     process = subprocess.Popen(
         [sys.executable, '-m', 'hybridreg_ros.ros.odometry_node'],
         env={**os.environ, **LOCALHOST, 'ROS_DOMAIN_ID': str(domain())},
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
     )  # fmt: skip
+    while not waits_for_signals(process.pid):
+        time.sleep(0.001)
     time.sleep(delay_s)
     code, output = end(process, *signals)
     assert (code, 'Traceback' in output) == (0, False), output

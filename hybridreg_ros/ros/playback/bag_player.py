@@ -4,16 +4,20 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
-from importlib.metadata import version
+from typing import TYPE_CHECKING
 
-from hybridreg_ros.core.errors import HybridRegError
 from hybridreg_ros.ros.stop_signals import StopSignals, leave
+
+if TYPE_CHECKING:
+    import argparse
 
 
 def parser() -> argparse.ArgumentParser:
     """Command line of the player."""
+    import argparse  # all imports come after the signals
+    from importlib.metadata import version
+
     p = argparse.ArgumentParser(prog='bag_player', description=__doc__)
     p.add_argument('--version', action='version', version=f'bag_player {version("hybridreg_ros")}')
     p.add_argument('bag', help='rosbag2 file (.mcap, .db3) or directory')
@@ -59,6 +63,7 @@ def main(args: list[str] | None = None) -> int:
 
 
 def _run(argv: list[str], stop: StopSignals) -> int:
+    from hybridreg_ros.core.errors import HybridRegError
     from hybridreg_ros.ros.session import own_arguments
 
     try:

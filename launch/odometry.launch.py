@@ -6,8 +6,8 @@ ros2 launch hybridreg_ros odometry.launch.py topic:=/lidar/points rviz:=true
 """
 
 import yaml
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
-from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
@@ -39,32 +39,40 @@ PARAMETERS = {
 
 
 def start_node(context: LaunchContext) -> list[Node]:
-    """The node with the parameter file and the parameters given by name."""
+    """The node with the parameter file and the parameters given by name; RViz when it is wanted.
+
+    Raises:
+        RuntimeError: RViz is wanted and not installed; then nothing is started.
+    """
     texts = {name: LaunchConfiguration(name).perform(context) for name in PARAMETERS}
     given = {name: yaml.safe_load(text) for name, text in texts.items() if text}
-    return [
-        Node(
-            package='hybridreg_ros',
-            executable='odometry_node',
-            name='hybridreg',
-            namespace=LaunchConfiguration('namespace'),
-            output='screen',
-            parameters=[LaunchConfiguration('params_file'), given],
-            remappings=[('points', LaunchConfiguration('topic'))],
-            arguments=['--ros-args', '--log-level', LaunchConfiguration('log_level')],
-        )
-    ]
-
-
-def generate_launch_description() -> LaunchDescription:
-    """Node and RViz."""
+    node = Node(
+        package='hybridreg_ros',
+        executable='odometry_node',
+        name='hybridreg',
+        namespace=LaunchConfiguration('namespace'),
+        output='screen',
+        parameters=[LaunchConfiguration('params_file'), given],
+        remappings=[('points', LaunchConfiguration('topic'))],
+        arguments=['--ros-args', '--log-level', LaunchConfiguration('log_level')],
+    )
+    if not yaml.safe_load(LaunchConfiguration('rviz').perform(context)):
+        return [node]
+    try:
+        get_package_prefix('rviz2')
+    except PackageNotFoundError:
+        raise RuntimeError('rviz:=true needs rviz2: apt install ros-jazzy-rviz2') from None
     rviz = Node(
         package='rviz2',
         executable='rviz2',
         output='log',
         arguments=['-d', LaunchConfiguration('rviz_config')],
-        condition=IfCondition(LaunchConfiguration('rviz')),
     )
+    return [node, rviz]
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Node and RViz."""
     declared = [
         DeclareLaunchArgument(name, default_value=value, description=text)
         for name, (value, text) in ARGUMENTS.items()
@@ -72,4 +80,4 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(name, default_value='', description=f"{text}; '' = parameter file")
         for name, text in PARAMETERS.items()
     ]
-    return LaunchDescription([*declared, OpaqueFunction(function=start_node), rviz])
+    return LaunchDescription([*declared, OpaqueFunction(function=start_node)])

@@ -41,8 +41,12 @@ ALLOWED = {
 }
 EXCEPTIONS = {
     # The bag player is the one executable of ros/ that reads bags.
-    ('ros/playback/bag_player.py', 'replay'),
+    ('ros/playback/playing.py', 'replay'),
+    # The one writer of cloud files writes the map too.
+    ('ros/node.py', 'data'),
 }
+LEAVES = 'ros/stop_signals.py'
+"""The one module that ends the process: a signal does."""
 HOMES = {
     'rclpy': ('ros/',),
     'sensor_msgs': ('ros/',),
@@ -107,7 +111,8 @@ def test_header_docstring_and_manners(path: Path) -> None:
             continue
         called = ast.unparse(node.func)
         assert called != 'print', f'libraries log, they do not print (line {node.lineno})'
-        assert called not in ('sys.exit', 'exit', 'os._exit'), f'only cli exits ({node.lineno})'
+        leaving = called in ('sys.exit', 'exit', 'os._exit') and name_of(path) != LEAVES
+        assert not leaving, f'only cli exits ({node.lineno})'
 
 
 def module_of(path: Path) -> str:

@@ -74,6 +74,7 @@ def build_parser() -> argparse.ArgumentParser:
         _bench,
         _dump_config,
         _warm_up,
+        _echo,
         _demo,
     ):
         add(commands)
@@ -509,6 +510,13 @@ def _dump_config(commands: Commands) -> None:
 
 def _warm_up(commands: Commands) -> None:
     _command(commands, 'warm-up', 'cmd_warm_up', 'compile all kernels in advance')
+
+
+def _echo(commands: Commands) -> None:
+    p = _command(commands, 'echo', 'cmd_echo', 'print the odometry of a running node')
+    p.add_argument('--node', default='hybridreg', metavar='NAME', help='with its namespace')
+    p.add_argument('--count', type=COUNT, default=0, metavar='N', help='end after N messages')
+    p.add_argument('--wait', type=POSITIVE, default=0.0, metavar='S', help='longest silence')
 
 
 def _demo(commands: Commands) -> None:

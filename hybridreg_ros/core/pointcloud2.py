@@ -21,7 +21,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+MOST_POINTS = 400_000
+"""Points of a cloud that an odometry has use for: more than a depth camera of 640 x 480 has."""
+
 _FORMATS = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
+_MAX_STEP = 1 << 16
+"""Bytes that a point may have; with more, a layout is broken and numpy's types may not hold it."""
 _CODES = {np.dtype(name): code for code, name in _FORMATS.items()}
 
 
@@ -60,7 +65,11 @@ class CloudData:
 
 
 def to_scan(
-    msg: Any, time_unit: str = AUTO, scan_period_s: float = 0.1, time_field: str = ''
+    msg: Any,
+    time_unit: str = AUTO,
+    scan_period_s: float = 0.1,
+    time_field: str = '',
+    max_points: int | None = None,
 ) -> Scan:
     """Decode a PointCloud2 message: any field layout, offset, padding and byte order.
 
@@ -70,6 +79,7 @@ def to_scan(
         scan_period_s: seconds that a normalised time of 1 stands for.
         time_field: field with the per-point times; '' = the first usable one of those in
             `point_times.TIME_FIELDS`.
+        max_points: of a cloud with more, every second, third, ... row is taken; None = all.
 
     Returns:
         The scan; rows with a NaN or inf coordinate, at the sensor (no return: `Scan.near`), or
@@ -87,7 +97,9 @@ def to_scan(
     if missing:
         found = ', '.join(layout.names or ()) or 'none'
         raise PointCloudError(f'PointCloud2 lacks field {", ".join(missing)}; found: {found}')
-    table = rows_data.view(layout).reshape(-1)
+    whole = rows_data.view(layout).reshape(-1)
+    every = max(1, -(-len(whole) // max_points)) if max_points else 1
+    table = whole[::every]
     xyz = np.empty((len(table), 3), dtype=np.float32)
     with np.errstate(over='ignore', invalid='ignore'):
         for column, axis in enumerate(axes):
@@ -109,8 +121,9 @@ def to_scan(
         times=found_times.seconds,
         stamp=stamp,
         frame_id=str(msg.header.frame_id),
-        rows=rows,
-        size=len(table),
+        rows=rows * every,
+        size=len(whole),
+        thinned=len(whole) - len(table),
         shape=(int(msg.height), int(msg.width)),
         near=int(np.count_nonzero(finite)) - int(np.count_nonzero(seen)),
         notes=(*found_times.notes, unit_note) if unit_note else found_times.notes,
@@ -347,7 +360,7 @@ def _dtype(msg: Any) -> np.dtype[Any]:
     """Structured type of one point; raises when a field does not fit into point_step."""
     order = '>' if msg.is_bigendian else '<'
     names, formats, offsets = [], [], []
-    step = int(msg.point_step)
+    step = _point_step(msg)
     for f in msg.fields:
         if f.datatype not in _FORMATS:
             raise PointCloudError(f'field {f.name}: unknown datatype {f.datatype}, expected 1..8')
@@ -374,10 +387,18 @@ def _dtype(msg: Any) -> np.dtype[Any]:
     )
 
 
+def _point_step(msg: Any) -> int:
+    """Bytes of one point; raises when no sensor has as many."""
+    step = int(msg.point_step)
+    if step > _MAX_STEP:
+        raise PointCloudError(f'point_step is {step}, expected at most {_MAX_STEP} bytes')
+    return step
+
+
 def _rows(msg: Any) -> NDArray[np.uint8]:
     """Bytes of every point, (height * width, point_step), row padding removed."""
     height, width = int(msg.height), int(msg.width)
-    step, row_step = int(msg.point_step), int(msg.row_step)
+    step, row_step = _point_step(msg), int(msg.row_step)
     buffer = np.frombuffer(msg.data, dtype=np.uint8)
     if height * width == 0:
         return np.zeros((0, max(step, 1)), dtype=np.uint8)

@@ -31,6 +31,7 @@ class Scan:
         frame_id: name of the sensor frame.
         rows: (N,) int64, row of each point in its message (rows with NaN are skipped).
         size: number of rows of that message, dropped ones included.
+        thinned: rows of that message that were passed over because there are so many.
         shape: (height, width) of the message; height > 1 means an organised cloud.
         near: rows of the message left out because they lie at the sensor, or nearer than it sees.
         notes: what could not be used of the message (one line each), for logs and diagnostics.
@@ -43,6 +44,7 @@ class Scan:
     frame_id: str
     rows: NDArray[np.int64]
     size: int
+    thinned: int
     shape: tuple[int, int]
     near: int
     notes: tuple[str, ...]
@@ -60,6 +62,7 @@ class Scan:
         notes: tuple[str, ...] = (),
         near: int = 0,
         times_from: str = '',
+        thinned: int = 0,
     ) -> None:
         """Normalise types; fill `rows`, `size`, `shape` when they are not given.
 
@@ -74,6 +77,7 @@ class Scan:
             notes: one line each.
             near: rows left out for their range.
             times_from: where the times come from.
+            thinned: rows passed over.
 
         Raises:
             PointCloudError: points are not (N, 3) or not finite, or a per-point field has another
@@ -103,6 +107,7 @@ class Scan:
             'frame_id': frame_id,
             'rows': rows,
             'size': size,
+            'thinned': thinned,
             'shape': (1, size) if shape == (0, 0) else shape,
             'near': near,
             'notes': notes,
@@ -123,7 +128,7 @@ class Scan:
     @property
     def dropped(self) -> int:
         """Rows of the message that are not in `points`: NaN, inf, or `near`."""
-        return self.size - len(self.points)
+        return self.size - self.thinned - len(self.points)
 
     def beyond(self, range_m: float) -> Scan:
         """The scan without points nearer than a range (metres), in every field; `near` grows."""

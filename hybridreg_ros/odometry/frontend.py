@@ -88,6 +88,13 @@ class HybridOdometry:
         """Every pose considered for the last scan, with what speaks for it (for fitting)."""
         return [] if self._tracker is None else self._tracker.judged
 
+    def map_points(self) -> NDArray[np.float32]:
+        """Static points (N, 3) of the local map, odom frame, metres; not while `locate` runs."""
+        self._finish()
+        if self._tracker is None:
+            return np.zeros((0, 3), np.float32)
+        return self._tracker.map_points()
+
     def reset(self) -> None:
         """Forget pose, map and keyframes; the next usable scan defines the odom frame anew."""
         self._finish()

@@ -135,6 +135,10 @@ class Tracker:
         """Every pose that was considered for the last cloud."""
         return self._locator.judged
 
+    def map_points(self) -> NDArray[np.float32]:
+        """Static points (N, 3) of the local map, odom frame, metres."""
+        return self._world.map.fine.points()
+
     def _is_last_straw(self, found: Located) -> bool:
         """Whether a tentative pose comes after too many bad frames to be taken."""
         return found.tentative and self._bad_frames + 1 >= self._config.lost.after_bad_frames

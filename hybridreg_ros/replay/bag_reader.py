@@ -201,7 +201,7 @@ class Bag:
     def frames(
         self, topic: str | None = None, time_unit: str = 'auto', time_field: str = ''
     ) -> Iterator[CloudFrame]:
-        """Clouds in stamp order, unusable ones included with their reason.
+        """Clouds in stamp order, unusable ones included with their reason; thinned as live.
 
         Args:
             topic: PointCloud2 topic; None takes the only one.
@@ -214,7 +214,12 @@ class Bag:
                 if message.stamp < 0:
                     raise BagError(f'its stamp is negative: {message.stamp / NS_PER_S:.6f} s')
                 cloud = self.decode(message)
-                scan = pointcloud2.to_scan(cloud, time_unit, time_field=time_field)
+                scan = pointcloud2.to_scan(
+                    cloud,
+                    time_unit,
+                    time_field=time_field,
+                    max_points=pointcloud2.MOST_POINTS,
+                )
                 yield CloudFrame(message.stamp, cloud, scan, '')
             except (BagError, PointCloudError) as error:
                 yield CloudFrame(message.stamp, cloud, None, str(error))

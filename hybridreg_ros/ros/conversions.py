@@ -32,6 +32,11 @@ def to_time(stamp_ns: int) -> Time:
     return Time(sec=stamp_ns // NS_PER_S, nanosec=stamp_ns % NS_PER_S)
 
 
+def to_ns(stamp: Time) -> int:
+    """Nanoseconds of a stamp message."""
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
 def rotation(q: F64) -> F64:
     """Rotation (3, 3) of a quaternion (4,) x y z w of any length.
 
@@ -91,7 +96,11 @@ def _moved(covariance: F64, R: F64, corner: F64) -> F64:
 
 
 def to_odometry(
-    result: OdometryResult, odom_frame: str, child_frame: str, T_base_sensor: F64 | None = None
+    result: OdometryResult,
+    odom_frame: str,
+    child_frame: str,
+    T_base_sensor: F64 | None = None,
+    T_odom_start: F64 | None = None,
 ) -> Odometry:
     """Odometry message of a result; its stamp is the stamp of the cloud.
 
@@ -100,6 +109,7 @@ def to_odometry(
         odom_frame: frame of the pose.
         child_frame: base frame, or the sensor frame when there is no extrinsic.
         T_base_sensor: (4, 4) pose of the sensor in the child frame; None = identity.
+        T_odom_start: (4, 4) pose of the child frame at the first scan; None = identity.
     """
     pose, covariance = result.pose, result.covariance
     twist, twist_covariance = result.twist, result.twist_covariance
@@ -108,6 +118,9 @@ def to_odometry(
         if result.source is not Source.LOST:
             covariance = base_covariance(covariance, result.pose, T_base_sensor)
         twist, twist_covariance = base_twist(twist, twist_covariance, T_base_sensor)
+    if T_odom_start is not None:
+        pose = T_odom_start @ pose
+        covariance = _moved(covariance, T_odom_start[:3, :3], np.zeros((3, 3)))
     if result.source is Source.LOST:
         covariance = np.maximum(covariance, np.diag(np.full(6, LOST_VARIANCE)))
     msg = Odometry(child_frame_id=child_frame)

@@ -21,6 +21,11 @@ if TYPE_CHECKING:
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
+TWINS = (
+    'of this name publish the same odometry and /tf: give each node a name or namespace of its '
+    'own (-r __node:=NAME, -r __ns:=/NAME)'
+)
+
 
 @dataclass(frozen=True)
 class Setting:
@@ -35,7 +40,10 @@ class Setting:
         transport_warning: True when large clouds may be lost.
         input_timeout_s: silence that is worth a warning.
         paused: True between ~/pause and ~/resume.
+        starting: what the node does before it subscribes, '' once it has.
         waiting_for: text while outputs are held back (extrinsic unknown), else ''.
+        guides: state of what corrects the prediction (guess, imu), by name.
+        rivals: other nodes that publish odometry under the same name.
         queue: clouds waiting.
         tf: state of the /tf output.
     """
@@ -48,7 +56,10 @@ class Setting:
     transport_warning: bool
     input_timeout_s: float
     paused: bool
+    starting: str
     waiting_for: str
+    guides: Mapping[str, str]
+    rivals: int
     queue: int
     tf: str
 
@@ -81,10 +92,21 @@ def _about_node(state: Snapshot, setting: Setting) -> list[tuple[bytes, str]]:
     found = []
     if not setting.has_weights:
         found.append((WARN, f'no weights, kiss-icp alone: {setting.weights}'))
-    if setting.paused:
+    if setting.starting:
+        found.append((WARN, f'starting, no cloud is taken yet: {setting.starting}'))
+    elif setting.paused:
         found.append((WARN, 'paused'))
     elif state.idle_s > setting.input_timeout_s:
         found.append((WARN, f'no cloud for {state.idle_s:.1f} s on {setting.hardware_id}'))
+    elif state.odometry_age_s > setting.input_timeout_s:
+        text = f'no odometry for {state.odometry_age_s:.1f} s, although clouds come'
+        told = state.recent_drops or not state.last_drop
+        found.append((WARN, text if told else f'{text}; last: {state.last_drop}'))
+    if setting.rivals:
+        found.append((ERROR, f'{setting.rivals} more {TWINS}'))
+    for name, state_of in setting.guides.items():
+        if state_of.startswith('no '):
+            found.append((WARN, f'prediction without {name}: {state_of}'))
     if setting.waiting_for:
         found.append((WARN, setting.waiting_for))
     if setting.transport_warning:
@@ -114,6 +136,7 @@ def status(state: Snapshot, setting: Setting) -> DiagnosticStatus:
         'last_drop': state.last_drop or 'none',
         'invalid_points': str(state.invalid_points),
         'near_points': str(state.near_points),
+        'odometry_age_s': f'{state.odometry_age_s:.1f}',
         'waiting': str(setting.queue),
         'latency_ms': f'{1e3 * state.latency_s:.1f}',
         'worst_latency_ms': f'{1e3 * state.worst_latency_s:.1f}',
@@ -121,6 +144,7 @@ def status(state: Snapshot, setting: Setting) -> DiagnosticStatus:
         'deskewed': str(state.deskewed).lower(),
         'point_times': state.times_from,
         'tf': setting.tf,
+        **setting.guides,
         'transport': setting.transport,
         **{f'{stage}_ms': f'{1e3 * s:.1f}' for stage, s in state.timings_s.items()},
     }

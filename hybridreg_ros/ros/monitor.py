@@ -51,6 +51,7 @@ class Snapshot:
         last_drop: one line about the latest dropped cloud.
         input_rate_hz: rate of arrival; 0 when unknown.
         idle_s: seconds since the last cloud, or since the start.
+        odometry_age_s: seconds since a cloud last became odometry, or since the start.
         latency_s: median seconds from arrival to publication.
         worst_latency_s: largest of the last 50.
         invalid_points: rows with NaN or inf so far.
@@ -75,6 +76,7 @@ class Snapshot:
     last_drop: str
     input_rate_hz: float
     idle_s: float
+    odometry_age_s: float
     latency_s: float
     worst_latency_s: float
     invalid_points: int
@@ -106,10 +108,15 @@ class Monitor:
         self._processed = 0
         self._invalid = 0
         self._near = 0
-        self._since = time.monotonic()
+        self._since = self._posed = time.monotonic()
         self._result: OdometryResult | None = None
         self._switch = 'none'
         self._note = ''
+
+    def begin(self) -> None:
+        """The subscription is made: silence counts from now on."""
+        with self._lock:
+            self._since = self._posed = time.monotonic()
 
     def arrived(self) -> float:
         """Count a cloud that reached the callback; returns its monotonic time, s."""
@@ -135,12 +142,13 @@ class Monitor:
         line = ''
         with self._lock:
             self._processed += 1
+            self._posed = time.monotonic()
             self._invalid += result.scan.dropped - result.scan.near
             self._near += result.scan.near
             self._note = '; '.join(result.scan.notes)
             if result.reason in POOR or result.source is Source.LOST:
                 self._poor[result.reason.value] += 1
-            self._latencies.append(time.monotonic() - arrival_s)
+            self._latencies.append(self._posed - arrival_s)
             before = None if self._result is None else self._result.source
             if before is not None and before is not result.source:
                 seconds = result.stamp / NS_PER_S
@@ -183,6 +191,7 @@ class Monitor:
                 last_drop=self._last_drop,
                 input_rate_hz=(len(arrivals) - 1) / span if span > 0.0 else 0.0,
                 idle_s=now - (arrivals[-1] if arrivals else self._since),
+                odometry_age_s=now - self._posed,
                 latency_s=latencies[len(latencies) // 2],
                 worst_latency_s=latencies[-1],
                 invalid_points=self._invalid,

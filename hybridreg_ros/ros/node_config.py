@@ -10,8 +10,12 @@ import numpy as np
 
 from hybridreg_ros.core.config import dump_yaml, option, validate
 from hybridreg_ros.core.errors import ConfigError
+from hybridreg_ros.core.pointcloud2 import MOST_POINTS
 
-RESTART_ONLY = ('weights', 'input_qos', 'input_qos_depth', 'extrinsic_source')
+RESTART_ONLY = (
+    'weights', 'input_qos', 'input_qos_depth', 'base_frame', 'guess_frame', 'use_imu',
+    'extrinsic_source', 'extrinsic',
+)  # fmt: skip
 """Fields that are read when the node starts; the parameter server refuses to change them."""
 RUNTIME = ('dynamics.threshold',)
 """Front-end parameters that the node itself applies; the others are read at the start."""
@@ -41,8 +45,28 @@ class NodeConfig:
     invert_tf: bool = option(
         False, 'publish it from base_frame to odom_frame instead (odom becomes a leaf)'
     )
+    guess_frame: str = option(
+        '',
+        'fixed frame of another odometry (wheels); registrations start from the motion of the '
+        "sensor in it by /tf; '' = from constant velocity, which also steps in when its "
+        'transforms stop',
+    )
+    use_imu: bool = option(
+        False,
+        'take the rotation of the sensor, for prediction and deskew, from the angular rates on '
+        'imu (sensor_msgs/Imu) while they arrive',
+    )
+    initial_pose: tuple[float, ...] = option(
+        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
+        'pose of base_frame in odom_frame at the start and after ~/reset_to_pose: '
+        'x y z (m) qx qy qz qw',
+    )
     publish_keyframe: bool = option(False, 'publish the static points of new keyframes')
     publish_path: bool = option(False, 'publish the poses so far as nav_msgs/Path')
+    local_map_period_s: float = option(
+        1.0, 'time between two messages of ~/local_map, seconds', low=0.05, high=3600.0
+    )
+    map_file: str = option('map.ply', 'file that ~/save_map writes: .ply, .pcd or .npy')
     path_length: int = option(
         2000,
         'maximum number of poses in the path; the oldest are removed first',
@@ -79,8 +103,17 @@ class NodeConfig:
     max_cloud_points: int = option(
         4_000_000, 'larger clouds are dropped and counted', low=1000, high=100_000_000
     )
+    decode_points: int = option(
+        MOST_POINTS,
+        'of larger clouds only every second, third, ... point is used and published',
+        low=1000,
+        high=100_000_000,
+    )
     input_timeout_s: float = option(
-        2.0, 'time without a cloud after which the diagnostics warn, seconds', low=0.1, high=3600.0
+        2.0,
+        'time without a cloud, or without odometry, after which the diagnostics warn, seconds',
+        low=0.1,
+        high=3600.0,
     )
     diagnostics_period_s: float = option(
         1.0, 'time between two diagnostics messages, seconds', low=0.05, high=60.0
@@ -89,23 +122,33 @@ class NodeConfig:
     def __post_init__(self) -> None:
         """Check ranges; see the class for what is raised."""
         validate(self)
-        if len(self.extrinsic) != 7:
-            raise ConfigError(
-                f'extrinsic: expected 7 numbers x y z qx qy qz qw, found {len(self.extrinsic)}'
-            )
-        norm = float(np.linalg.norm(self.extrinsic[3:]))
-        if not abs(norm - 1.0) < 1e-3:
-            raise ConfigError(f'extrinsic: expected a unit quaternion, found norm {norm:.4g}')
-        for name in ('odom_frame', 'base_frame'):
+        for name in ('extrinsic', 'initial_pose'):
+            _check_pose(name, getattr(self, name))
+        for name in ('odom_frame', 'base_frame', 'guess_frame'):
             value = getattr(self, name)
             if value.startswith('/'):
                 raise ConfigError(f'{name}: expected a frame without leading /, found {value!r}')
+        if self.guess_frame and self.guess_frame in (self.odom_frame, self.base_frame):
+            raise ConfigError(
+                f'guess_frame: expected neither odom_frame nor base_frame, found '
+                f'{self.guess_frame!r}'
+            )
         if not self.odom_frame:
             raise ConfigError("odom_frame: expected a frame name, found ''")
         if self.odom_frame == self.base_frame:
             raise ConfigError(
                 f'base_frame: expected a frame other than odom_frame {self.odom_frame!r}'
             )
+
+
+def _check_pose(name: str, values: tuple[float, ...]) -> None:
+    if len(values) != 7:
+        raise ConfigError(f'{name}: expected 7 numbers x y z qx qy qz qw, found {len(values)}')
+    norm = float(np.linalg.norm(values[3:]))
+    if not abs(norm - 1.0) < 1e-3:
+        raise ConfigError(f'{name}: expected a unit quaternion, found norm {norm:.4g}')
+    if not np.isfinite(values).all():
+        raise ConfigError(f'{name}: expected finite numbers, found {values}')
 
 
 def parameter_file(config: NodeConfig | None = None) -> str:

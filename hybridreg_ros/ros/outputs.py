@@ -5,30 +5,35 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
 
+from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import PointCloudError
-from hybridreg_ros.core.pointcloud2 import with_field
+from hybridreg_ros.core.pointcloud2 import from_arrays, with_field
 from hybridreg_ros.odometry.result import Source
 from hybridreg_ros.ros import topics
-from hybridreg_ros.ros.conversions import to_odometry, to_pointcloud2, to_transform
+from hybridreg_ros.ros.conversions import to_odometry, to_pointcloud2, to_time, to_transform
 from hybridreg_ros.ros.diagnostics import of_frame
 from hybridreg_ros.ros.qos import profile, publisher_events
 from hybridreg_ros.ros.transforms import (
     MISSING,
     Broadcaster,
     StaticListener,
-    extrinsic_matrix,
+    pose_matrix,
 )
 
 if TYPE_CHECKING:
-    import numpy as np
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
     from rclpy.node import Node
 
@@ -40,7 +45,7 @@ _OFFER = 'it is offered reliable, volatile'
 
 
 class Outputs:
-    """Publishes results; called from the worker thread only, except `configure` and `forget`.
+    """Publishes results; called from the threads of the worker, except `configure` and `close`.
 
     Attributes:
         waiting_for: text while odometry is held back because the extrinsic is unknown, else ''.
@@ -62,10 +67,17 @@ class Outputs:
         self._static = self._publisher(PointCloud2, topics.STATIC_POINTS)
         self._keyframe = self._publisher(PointCloud2, topics.KEYFRAME)
         self._path = self._publisher(Path, topics.PATH)
+        self._map = self._publisher(PointCloud2, topics.LOCAL_MAP)
+        self._map_due_s = 0.0
+        self._start = pose_matrix(config.initial_pose)
+        self._T_odom_map = self._start
         self._frame = self._publisher(DiagnosticArray, topics.FRAME)
         self._lock = threading.Lock()
+        self._sending_pose, self._sending_clouds = threading.Lock(), threading.Lock()
+        self._closed = False
         self._poses: deque[PoseStamped] = deque(maxlen=config.path_length)
         self._listener: StaticListener | None = None
+        self._used: NDArray[np.float64] | None = None
         if config.base_frame and config.extrinsic_source == 'tf':
             self._listener = StaticListener(node)
         self.configure(config, threshold)
@@ -85,12 +97,7 @@ class Outputs:
         Args:
             config: frames and switches.
             threshold: points from this P(dynamic) on go to the dynamic cloud.
-
-        Raises:
-            DependencyError: the extrinsic shall come from /tf_static and tf2_msgs is missing.
         """
-        if config.base_frame and config.extrinsic_source == 'tf' and self._listener is None:
-            self._listener = StaticListener(self._node)
         with self._lock:
             self._poses = deque(self._poses, maxlen=config.path_length)
         self._config = config
@@ -99,19 +106,39 @@ class Outputs:
             self._node.get_logger().warning('/tf: ' + self.tf_state, once=True)
 
     @property
+    def rivals(self) -> int:
+        """Other publishers of this node's odometry: nodes of the same name."""
+        return max(int(self._node.count_publishers(self._odometry.topic_name)) - 1, 0)
+
+    @property
     def tf_state(self) -> str:
         """One line about /tf for the diagnostics."""
         if not self._config.publish_tf:
             return 'off'
         return 'on' if self.tf_available else MISSING
 
-    def forget(self) -> None:
-        """Clear the path after a reset."""
+    def restart(self, T_odom_start: NDArray[np.float64]) -> None:
+        """Begin anew after a reset: no path, the sensor's pose in the base is taken again.
+
+        Args:
+            T_odom_start: (4, 4) pose of the base at the first scan.
+        """
         with self._lock:
             self._poses.clear()
+        self._used, self._start = None, T_odom_start
+
+    def close(self) -> None:
+        """Publish nothing any more; a publication in work ends first."""
+        with self._sending_pose, self._sending_clouds:
+            self._closed = True
 
     def publish(self, msg: PointCloud2, result: OdometryResult) -> None:
         """Publish the clouds of a result and what became of it, to those who listen."""
+        with self._sending_clouds:
+            if not self._closed:
+                self._publish(msg, result)
+
+    def _publish(self, msg: PointCloud2, result: OdometryResult) -> None:
         config = self._config
         if self._frame.get_subscription_count():
             name = f'{self._node.get_fully_qualified_name().lstrip("/")}: frame'
@@ -124,13 +151,19 @@ class Outputs:
 
     def publish_odometry(self, result: OdometryResult) -> None:
         """Publish pose, transform and path: at once, the clouds follow."""
+        with self._sending_pose:
+            if not self._closed:
+                self._publish_odometry(result)
+
+    def _publish_odometry(self, result: OdometryResult) -> None:
         config = self._config
         sensor_frame = result.scan.frame_id.lstrip('/')
         child = config.base_frame or sensor_frame
         T_base_sensor = self._extrinsic(child, sensor_frame, config)
         if self.waiting_for:
             return
-        msg = to_odometry(result, config.odom_frame, child, T_base_sensor)
+        msg = to_odometry(result, config.odom_frame, child, T_base_sensor, self._start)
+        self._T_odom_map = self._start if T_base_sensor is None else self._start @ T_base_sensor
         self._odometry.publish(msg)
         if config.publish_tf and result.source is not Source.LOST and child:
             self._tf.send(to_transform(msg, config.invert_tf))
@@ -141,22 +174,54 @@ class Outputs:
             if self._path.get_subscription_count():
                 self._path.publish(Path(header=msg.header, poses=poses))
 
+    def publish_map(
+        self, map_points: Callable[[], NDArray[np.float32]], result: OdometryResult
+    ) -> None:
+        """Publish the local map when it is due and someone listens.
+
+        Args:
+            map_points: gives (N, 3) float32, frame of the front end.
+            result: of the cloud that the map has just taken in.
+        """
+        now_s = time.monotonic()
+        if now_s < self._map_due_s or not self._map.get_subscription_count():
+            return
+        self._map_due_s = now_s + self._config.local_map_period_s
+        header = Header(stamp=to_time(result.stamp), frame_id=self._config.odom_frame)
+        msg = to_pointcloud2(from_arrays(self.in_odom(map_points())), header)
+        with self._sending_clouds:
+            if not self._closed:
+                self._map.publish(msg)
+
+    def in_odom(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Points (N, 3) of the map in the odom frame."""
+        return se3.apply(self._T_odom_map, points.astype(np.float64)).astype(np.float32)
+
     def _extrinsic(
         self, child: str, sensor_frame: str, config: NodeConfig
     ) -> NDArray[np.float64] | None:
-        """Pose of the sensor in the child frame, None for the identity; sets `waiting_for`."""
+        """Pose of the sensor in the child frame, None for the identity; sets `waiting_for`.
+
+        The pose once used is kept until a reset: another one would make the odometry jump.
+        """
         self.waiting_for = ''
         if child == sensor_frame:
             return None
         if config.extrinsic_source == 'parameter':
-            return extrinsic_matrix(config.extrinsic)
+            return pose_matrix(config.extrinsic)
+        log = self._node.get_logger()
         T = None if self._listener is None else self._listener.lookup(child, sensor_frame)
-        if T is None:
+        if T is None and self._used is None:
             self.waiting_for = (
                 f'odometry held back: /tf_static does not connect {child} and {sensor_frame}'
             )
-            self._node.get_logger().warning(self.waiting_for, throttle_duration_sec=10.0)
-        return T
+            log.warning(self.waiting_for, throttle_duration_sec=10.0)
+        elif self._used is None:
+            self._used = T
+        elif T is not None and not np.allclose(T, self._used, atol=1e-6):
+            text = f'/tf_static has moved {sensor_frame} in {child}: used after ~/reset'
+            log.warning(text, throttle_duration_sec=10.0)
+        return self._used
 
     def _publish_cloud(
         self, publisher: Any, msg: PointCloud2, result: OdometryResult, keep: NDArray[np.bool_]

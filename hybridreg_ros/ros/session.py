@@ -3,70 +3,137 @@
 """Session: rclpy from init to shutdown, ended in order by Ctrl-C or SIGTERM.
 
 rclpy's own handlers invalidate the context at once, while other threads still publish; here a
-signal only asks to stop, so that the cloud in work is finished and published.
+signal only asks to stop, so that the cloud in work can be finished and published.
 """
 
 from __future__ import annotations
 
 import contextlib
-import signal
+import itertools
+import re
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import rclpy
+import yaml
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
+from hybridreg_ros.core.errors import ConfigError
 from hybridreg_ros.ros import fastdds
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from types import FrameType
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+    from rclpy.executors import Executor
+
+    from hybridreg_ros.ros.stop_signals import StopSignals
+
+
+_REFUSALS = (
+    rclpy_implementation.RCLError,
+    rclpy_implementation.RCLInvalidROSArgsError,
+    rclpy_implementation.UnknownROSArgsError,
+)
+_PLACES = re.compile(
+    r',? at [^\s:]+:\d+|failed to initialize rcl: |Failed to parse ROS arguments: '
+)
+"""Of rcl's own sources, in its errors."""
 
 
 class Session:
     """A running rclpy.
 
     Attributes:
-        stopping: True once a signal asked to stop.
         transport: what fastdds.prepare decided.
     """
 
-    def __init__(self, transport: fastdds.Transport) -> None:
-        self.stopping = False
+    def __init__(self, transport: fastdds.Transport, stop: StopSignals) -> None:
         self.transport = transport
+        self._stop = stop
 
     @property
     def active(self) -> bool:
         """Whether work shall go on."""
-        return not self.stopping and bool(rclpy.ok())
+        return not self._stop.asked and bool(rclpy.ok())
 
-    def on_signal(self, number: int, _: FrameType | None) -> None:
-        """Ask to stop; a second signal interrupts at once.
+    def spin(self, executor: Executor) -> None:
+        """Serve callbacks until a signal comes or the context is shut down.
 
         Raises:
-            KeyboardInterrupt: this is not the first signal.
+            Exception: whatever a callback raised.
         """
-        if self.stopping:
-            raise KeyboardInterrupt
-        self.stopping = True
+        self._stop.end_in_order(lambda: executor.create_task(_nothing))
+        while self.active:
+            executor.spin_once()
+
+
+def _nothing() -> None:
+    """What an executor runs to look up."""
+
+
+def check_parameter_files(args: list[str]) -> None:
+    """Make sure that the files of --params-file hold parameters: rcl passes over those without.
+
+    Raises:
+        ConfigError: a file cannot be read, or holds something else.
+    """
+    for option, name in itertools.pairwise(args):
+        if option != '--params-file':
+            continue
+        try:
+            content = yaml.safe_load(Path(name).read_text(encoding='utf-8'))
+        except OSError as error:
+            raise ConfigError(f'parameter file {name}: {error.strerror}') from error
+        except (yaml.YAMLError, UnicodeDecodeError) as error:
+            raise ConfigError(f'parameter file {name}: {" ".join(str(error).split())}') from error
+        if content is not None and not isinstance(content, dict):
+            found = type(content).__name__
+            raise ConfigError(f'parameter file {name}: expected node names, found a {found}')
 
 
 @contextlib.contextmanager
-def ros_session(args: list[str] | None) -> Iterator[Session]:
+def _refusals() -> Iterator[None]:
+    try:
+        yield
+    except _REFUSALS as error:
+        text = ' '.join(_PLACES.sub('', str(error)).split())
+        raise ConfigError(f'ROS arguments not understood: {text}') from error
+
+
+def own_arguments(program: str, args: list[str]) -> list[str]:
+    """The command line without its ROS arguments.
+
+    Args:
+        program: name of the executable.
+        args: command line without it.
+
+    Raises:
+        ConfigError: rclpy does not understand the ROS arguments, or a parameter file.
+    """
+    check_parameter_files(args)
+    with _refusals():
+        own: list[str] = remove_ros_args([program, *args])[1:]
+    return own
+
+
+@contextlib.contextmanager
+def ros_session(args: list[str], stop: StopSignals) -> Iterator[Session]:
     """Prepare the transport, initialise rclpy, and shut it down at the end.
 
     Args:
-        args: command line with ROS arguments; None = that of this process.
+        args: command line with ROS arguments, without the program's name.
+        stop: waits for the signals already.
+
+    Raises:
+        ConfigError: rclpy does not understand the arguments.
     """
-    session = Session(fastdds.prepare())
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    before = {number: signal.signal(number, session.on_signal) for number in _SIGNALS}
+    transport = fastdds.prepare()
+    with _refusals():
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    stop.end_in_order(_nothing)
     try:
-        yield session
-    except KeyboardInterrupt:
-        session.stopping = True
+        yield Session(transport, stop)
     finally:
         rclpy.try_shutdown()
-        for number, handler in before.items():
-            signal.signal(number, handler)

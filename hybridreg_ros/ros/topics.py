@@ -100,9 +100,39 @@ KEYFRAME = Topic(
 PATH = Topic(
     '~/path', 'nav_msgs/msg/Path', 'the last `path_length` poses, with `publish_path`', depth=1
 )
+LOCAL_MAP = Topic(
+    '~/local_map',
+    'sensor_msgs/msg/PointCloud2',
+    'static points of the local map in `odom_frame`, every `local_map_period_s`',
+    depth=1,
+)
+INITIAL_POSE = Topic(
+    '~/initial_pose',
+    'geometry_msgs/msg/PoseWithCovarianceStamped',
+    'pose of `base_frame` in `odom_frame` to start again at, with an empty map; its covariance '
+    'is not used',
+    received=True,
+)
+IMU = Topic(
+    'imu',
+    'sensor_msgs/msg/Imu',
+    'angular rates of the sensor or of a body fixed to it, with `use_imu`; best effort',
+    depth=200,
+    received=True,
+)
+GUESS_TF = Topic(
+    '/tf',
+    'tf2_msgs/msg/TFMessage',
+    'motion of the sensor in `guess_frame`, if one is set; needs tf2_msgs',
+    depth=100,
+    received=True,
+)
 TOPICS = (
     POINTS,
     TF_STATIC,
+    INITIAL_POSE,
+    IMU,
+    GUESS_TF,
     ODOM,
     DYNAMIC_POINTS,
     STATIC_POINTS,
@@ -111,9 +141,17 @@ TOPICS = (
     FRAME,
     KEYFRAME,
     PATH,
+    LOCAL_MAP,
 )
 
 RESET = Service('~/reset', 'start again at the origin with an empty map')
+RESET_TO_POSE = Service(
+    '~/reset_to_pose', 'start again at the parameter `initial_pose` with an empty map'
+)
+SAVE_MAP = Service(
+    '~/save_map',
+    'write the static points of the local map, in `odom_frame`, to the file `map_file`',
+)
 PAUSE = Service('~/pause', 'count and drop clouds from now on')
 RESUME = Service('~/resume', 'process clouds again')
-SERVICES = (RESET, PAUSE, RESUME)
+SERVICES = (RESET, RESET_TO_POSE, SAVE_MAP, PAUSE, RESUME)

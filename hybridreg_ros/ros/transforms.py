@@ -116,6 +116,6 @@ def _chain(
     return chain
 
 
-def extrinsic_matrix(values: tuple[float, ...]) -> NDArray[np.float64]:
+def pose_matrix(values: tuple[float, ...]) -> NDArray[np.float64]:
     """Transform (4, 4) of x y z qx qy qz qw."""
     return se3.transform(rotation(np.array(values[3:])), np.array(values[:3]))

@@ -17,6 +17,9 @@ from hybridreg_ros.ros.monitor import Drop, Monitor
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from hybridreg_ros.core.scan import Scan
     from hybridreg_ros.odometry.frontend import HybridOdometry
     from hybridreg_ros.odometry.result import OdometryResult, Rest
@@ -38,6 +41,7 @@ class Worker:
         front_end: HybridOdometry,
         config: NodeConfig,
         monitor: Monitor,
+        begin: Callable[[Scan], None],
         publish_odometry: Callable[[OdometryResult], None],
         publish: Callable[[Any, OdometryResult], None],
         warn: Callable[[str, str], None],
@@ -49,13 +53,15 @@ class Worker:
             front_end: only this thread steps it.
             config: see `configure`.
             monitor: told about every cloud.
+            begin: called in this thread with each scan before it is stepped.
             publish_odometry: called in this thread as soon as the pose of a cloud is known.
-            publish: called in this thread with the message and its result, mask included.
+            publish: called in a second thread with the message and its result, mask included.
             warn: logs cause and text as one line.
             say: logs a line that is no warning.
         """
         self._front_end = front_end
         self._monitor = monitor
+        self._begin = begin
         self._publish_odometry = publish_odometry
         self._publish = publish
         self._warn = warn
@@ -81,8 +87,13 @@ class Worker:
         self._completer.start()
 
     def configure(self, config: NodeConfig) -> None:
-        """Take queue depth, drop policy and unit of per-point times from a config."""
-        self._times = (config.time_unit, config.scan_period_s, config.time_field)
+        """Take queue depth, drop policy and what the decoder needs from a config."""
+        self._decoding = (
+            config.time_unit,
+            config.scan_period_s,
+            config.time_field,
+            config.decode_points,
+        )
         gone = self._queue.configure(config.queue_depth, config.drop_policy == 'oldest')
         if gone:
             self._monitor.dropped(Drop.QUEUE_FULL, 'queue_depth was reduced', gone)
@@ -99,17 +110,34 @@ class Worker:
         """Clouds in the queue."""
         return len(self._queue)
 
-    def reset(self) -> None:
-        """Forget pose and map once the current cloud is done; waiting clouds are dropped."""
+    def reset(self, restart: Callable[[], object]) -> None:
+        """Forget pose and map once the current cloud is done; waiting clouds are dropped.
+
+        Args:
+            restart: called before the next cloud is begun.
+        """
         gone = self._queue.clear()
         with self._busy:
             self._front_end.reset()
             self._monitor.forget()
+            restart()
         if gone:
             self._monitor.dropped(Drop.RESET, 'waiting while ~/reset was called', gone)
 
+    def map_points(self) -> NDArray[np.float32]:
+        """Static points (N, 3) of the local map, front end's frame, after the current cloud.
+
+        May be called by `publish`: no lock of the second thread is held then.
+        """
+        with self._busy:
+            return self._front_end.map_points()
+
     def stop(self, timeout_s: float = 5.0) -> None:
-        """Drop what waits and end the thread after the current cloud."""
+        """Drop what waits and end the thread after the current cloud.
+
+        Args:
+            timeout_s: longest wait for it; the thread goes on alone after that.
+        """
         self._queue.close()
         if self._thread.is_alive():
             self._thread.join(timeout_s)
@@ -120,7 +148,7 @@ class Worker:
     def _run(self) -> None:
         """Work until the queue is closed.
 
-        An error that is no HybridRegError is a bug: its traceback goes to stderr, the cloud is
+        An error that is no HybridRegError is a bug: its traceback is logged, the cloud is
         counted, and a new thread goes on with the next cloud.
         """
         finished = False
@@ -131,14 +159,15 @@ class Worker:
             finished = True
         finally:
             if not finished:
-                self._monitor.dropped(Drop.INTERNAL_ERROR, 'see the traceback on stderr')
+                self._monitor.dropped(Drop.INTERNAL_ERROR, 'see the traceback in the log')
                 self._thread = self._new_thread()
                 self._thread.start()
 
     def _handle(self, arrival: Arrival) -> None:
         try:
-            scan = self._front_end.seen(to_scan(arrival.message, *self._times))
+            scan = self._front_end.seen(to_scan(arrival.message, *self._decoding))
             self._tell_times(scan)
+            self._begin(scan)
             behind, self._behind = self._behind, False
             result, rest = self._front_end.locate(scan, behind)
         except HybridRegError as error:
@@ -169,7 +198,7 @@ class Worker:
             finished = True
         finally:
             if not finished:
-                self._monitor.dropped(Drop.INTERNAL_ERROR, 'see the traceback on stderr')
+                self._monitor.dropped(Drop.INTERNAL_ERROR, 'see the traceback in the log')
                 self._completer = self._new_completer()
                 self._completer.start()
 
@@ -186,6 +215,6 @@ class Worker:
         self._publish_odometry(result)
         switch = self._monitor.processed(result, arrived_s)
         if switch:
-            self._warn(f'switch {switch}', 'see /diagnostics')
+            self._warn('switch', switch)
         elif result.source is Source.LOST:
             self._warn('lost', result.reason.value)

@@ -17,7 +17,7 @@ from hybridreg_ros.cli.main import main
 
 COMMANDS = (
     'register', 'convert', 'simulate', 'replay', 'score', 'generate', 'train', 'evaluate',
-    'ship', 'bench', 'dump-config', 'warm-up', 'demo',
+    'ship', 'bench', 'dump-config', 'warm-up', 'echo', 'demo',
 )  # fmt: skip
 
 

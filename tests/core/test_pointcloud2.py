@@ -235,6 +235,7 @@ def good():
         ({'fields': (Field('x', 0, 7, 1),)}, 'lacks field y, z; found: x'),
         ({'point_step': 8}, 'wrong point_step'),
         ({'point_step': 0}, 'point_step is 0'),
+        ({'point_step': 1 << 17}, 'point_step is 131072, expected at most 65536'),
         ({'row_step': 10}, 'row_step is 10, expected >= '),
         ({'data': np.zeros(7, np.uint8)}, 'truncated data: 1x10 points need 120 bytes, found 7'),
         ({'fields': (Field('x', 0, 9, 1),)}, 'unknown datatype 9'),
@@ -281,3 +282,15 @@ def test_encoder_and_field_errors():
     msg = message(from_arrays(points, {'p': np.zeros(2, np.uint8)}))
     with pytest.raises(PointCloudError, match='exists with datatype 2, expected 7'):
         with_field(msg, scan, 'p', np.zeros(2, np.float32), np.ones(2, bool))
+
+
+def test_large_clouds_are_thinned_and_their_rows_stay_known():
+    points = np.arange(33, dtype=np.float32).reshape(11, 3)
+    points[3] = np.nan
+    msg = message(from_arrays(points, {'t': np.linspace(0.0, 0.1, 11)}))
+    scan = to_scan(msg, max_points=4)
+    np.testing.assert_array_equal(scan.rows, [0, 6, 9])
+    np.testing.assert_array_equal(scan.points, points[[0, 6, 9]])
+    assert scan.times == pytest.approx([0.0, 0.06, 0.09])
+    assert (scan.size, scan.thinned, scan.dropped) == (11, 7, 1)
+    assert len(to_scan(msg, max_points=11)) == len(to_scan(msg)) == 10

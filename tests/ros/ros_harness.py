@@ -23,10 +23,9 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from hybridreg_ros.core.pointcloud2 import from_arrays
-from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.ros import fastdds
-from hybridreg_ros.ros.conversions import to_pointcloud2, to_time
+from hybridreg_ros.ros.conversions import to_ns, to_pointcloud2, to_time
 from hybridreg_ros.ros.node_config import NodeConfig
 from hybridreg_ros.ros.playback.node_process import LOCALHOST, NodeProcess
 from hybridreg_ros.ros.qos import profile
@@ -34,18 +33,12 @@ from hybridreg_ros.ros.qos import profile
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from builtin_interfaces.msg import Time
     from rcl_interfaces.msg import SetParametersResult
 
 KISS = OdometryConfig(registrar='kiss-icp')
 QUICK = NodeConfig(diagnostics_period_s=0.1, queue_depth=50, input_qos_depth=50)
 STEP_NS = 100_000_000
 FRAME = 'lidar'
-
-
-def to_ns(stamp: Time) -> int:
-    """Nanoseconds of a stamp message."""
-    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
 
 
 def domain() -> int:
@@ -122,6 +115,12 @@ class Probe:
                 self.level, self.text = status.level, status.message
                 self._levels.add(status.level)
                 self.diagnostics += 1
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether the node takes clouds and its diagnostics say so."""
+        told = self.diagnostics > 0 and 'starting' not in self.text
+        return told and self.points.get_subscription_count() > 0
 
     @property
     def odometry(self) -> list[Odometry]:
@@ -217,7 +216,7 @@ def running(
         probe.process = process
         try:
             process.wait_until(
-                lambda: probe.diagnostics and probe.points.get_subscription_count(),
+                lambda: probe.is_ready,
                 180.0,
                 'the node',
             )

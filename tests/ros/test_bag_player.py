@@ -20,10 +20,11 @@ pytest.importorskip(
 
 from nav_msgs.msg import Odometry
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
-from ros_harness import QUICK, Probe, domain, running, to_ns
+from ros_harness import QUICK, Probe, domain, running
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 
+from hybridreg_ros.ros.conversions import to_ns
 from hybridreg_ros.ros.playback.bag_player import main
 from hybridreg_ros.ros.playback.node_process import LOCALHOST
 from hybridreg_ros.ros.qos import profile
@@ -124,7 +125,7 @@ def test_lossless_into_the_node_with_a_short_queue(bag):
         (('--rate', '-1'), '--rate: expected >= 0, found -1.0'),
         (('--rate', '0'), '--rate 0 needs --lossless'),
         (('--lossless', '--qos', 'sensor_data'), '--lossless needs --qos reliable'),
-        (('--wait', '0.3'), 'nobody subscribed to the clouds within 0.3 s'),
+        (('--wait', '0.3'), 'nobody subscribed to /lidar/points within 0.3 s'),
     ],
 )
 def test_errors_are_one_line_and_code_2(bag, arguments, text, capfd, monkeypatch):
@@ -133,6 +134,23 @@ def test_errors_are_one_line_and_code_2(bag, arguments, text, capfd, monkeypatch
     lines = [n for n in capfd.readouterr().err.splitlines() if n.startswith('bag_player: ')]
     assert len(lines) == 1
     assert text in lines[0]
+
+
+def test_nobody_listening_is_said_and_is_an_error(bag, listener):
+    waiting = collect(listener, 'elsewhere', PointCloud2)
+    space = listener.node.get_namespace()
+    code, output = finish(start(bag, '--rate', '5', ros=('-r', f'__ns:={space}')))
+    topic = f'{space}/lidar/points'
+    assert code == 2, output
+    assert f'nobody listens to {topic} yet; --wait waits' in output
+    assert f'bag_player: nobody listened to {topic} while it was played' in output
+    rule = f'{topic}:={space}/elsewhere'
+    assert f'{space}/elsewhere waits for clouds: add --ros-args -r {rule}' in output
+    ros = ('-r', f'__ns:={space}', '-r', rule)
+    code, output = finish(start(bag, '--rate', '5', '--wait', ros=ros))
+    assert code == 0, output
+    assert '0 clouds unheard' in output
+    assert len(waiting) == 12
 
 
 def test_no_bag_is_an_error_in_a_process_of_its_own(tmp_path):

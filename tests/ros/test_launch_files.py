@@ -7,7 +7,10 @@ from __future__ import annotations
 import ast
 import importlib.util
 import re
+import sys
+import types
 from pathlib import Path
+from typing import ClassVar
 from xml.etree import ElementTree
 
 import pytest
@@ -39,6 +42,54 @@ def test_launch_description_is_made(path):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     assert module.generate_launch_description().entities
+
+
+class _Stub:
+    """Any class of launch or launch_ros: keeps its arguments; a configuration gives its value."""
+
+    values: ClassVar[dict[str, str]] = {}
+
+    def __init__(self, *arguments: object, **named: object) -> None:
+        self.arguments, self.named = arguments, named
+
+    def perform(self, _: object) -> str:
+        return self.values.get(str(self.arguments[0]), '')
+
+
+@pytest.fixture
+def odometry_launch(monkeypatch):
+    """The launch file as a module, with stubs where launch is not installed."""
+    pytest.importorskip('ament_index_python')
+    names = 'launch launch.actions launch.substitutions launch_ros launch_ros.actions'
+    for name in (*names.split(), 'launch_ros.substitutions'):
+        module = types.ModuleType(name)
+        vars(module)['__getattr__'] = lambda _: _Stub
+        monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.setattr(_Stub, 'values', {'rviz': 'false'})
+    path = ROOT / 'launch' / 'odometry.launch.py'
+    spec = importlib.util.spec_from_file_location('odometry_launch', path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_nothing_is_started_when_rviz_is_wanted_and_missing(
+    odometry_launch, monkeypatch, tmp_path
+):
+    def executables() -> list[str]:
+        return [node.named['executable'] for node in odometry_launch.start_node(None)]
+
+    monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path))
+    assert executables() == ['odometry_node']
+    _Stub.values['rviz'] = 'true'
+    with pytest.raises(RuntimeError, match='rviz:=true needs rviz2: apt install'):
+        executables()
+    marker = tmp_path / 'share' / 'ament_index' / 'resource_index' / 'packages' / 'rviz2'
+    marker.parent.mkdir(parents=True)
+    marker.touch()
+    assert executables() == ['odometry_node', 'rviz2']
 
 
 def test_launch_arguments_are_parameters_of_the_node():

@@ -14,14 +14,14 @@ pytest.importorskip(
 )
 
 import numpy as np
-from ros_harness import KISS, domain, room, to_ns
+from ros_harness import KISS, domain, room
 
 from hybridreg_ros.core.errors import BagError, ConfigError, HybridRegError
 from hybridreg_ros.core.pointcloud2 import from_arrays, to_scan
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.replay.bag_reader import open_bag
 from hybridreg_ros.replay.bag_writer import BagWriter
-from hybridreg_ros.ros.conversions import from_pose
+from hybridreg_ros.ros.conversions import from_pose, to_ns
 from hybridreg_ros.ros.node_config import NodeConfig
 from hybridreg_ros.ros.playback.live import run_live
 

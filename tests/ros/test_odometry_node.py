@@ -14,12 +14,18 @@ import pytest
 pytest.importorskip('rclpy', reason='rclpy is not installed (pip install hybridreg_ros[ros])')
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Path
-from ros_harness import FRAME, STEP_NS, cloud, room, running, to_ns
+from ros_harness import FRAME, STEP_NS, cloud, room, running
+from scipy.spatial import cKDTree
 from sensor_msgs.msg import PointCloud2
 
+from hybridreg_ros.core import se3
 from hybridreg_ros.core.pointcloud2 import field_values, to_scan
+from hybridreg_ros.data.loaders.clouds import read_cloud
+from hybridreg_ros.ros.conversions import from_pose, to_ns, to_pose
 from hybridreg_ros.ros.qos import profile
+from hybridreg_ros.ros.transforms import pose_matrix
 
 pytestmark = pytest.mark.ros
 
@@ -192,3 +198,76 @@ def test_a_change_is_applied_to_the_next_cloud(probe):
     assert probe.set('odom_frame', 'odom_2').successful
     assert probe.answer(cloud(room(), stamp())).header.frame_id == 'odom_2'
     assert probe.set('odom_frame', 'odom').successful
+
+
+START = (1.0, -2.0, 0.5, 0.0, 0.0, np.sin(0.5), np.cos(0.5))
+
+
+def stand_and_step(probe) -> list[np.ndarray]:
+    """Poses (4, 4) of a scan and of one from 0.1 m ahead."""
+    return [from_pose(probe.answer(cloud(room(x), stamp())).pose.pose) for x in (0.0, 0.1)]
+
+
+def test_reset_to_pose_begins_at_the_parameter(probe):
+    assert probe.set('initial_pose', list(START)).successful
+    assert 'pose is 1 -2 0.5' in probe.call('reset_to_pose').message
+    first, second = stand_and_step(probe)
+    T = pose_matrix(START)
+    np.testing.assert_allclose(first, T, atol=1e-9)
+    ahead = se3.transform(np.eye(3), np.array([0.1, 0.0, 0.0]))
+    np.testing.assert_allclose(second, T @ ahead, atol=0.02)
+    probe.call('reset')
+    np.testing.assert_allclose(stand_and_step(probe)[0], np.eye(4), atol=1e-9)
+    result = probe.set('initial_pose', [0.0] * 7)
+    assert 'initial_pose: expected a unit quaternion' in result.reason
+
+
+def test_initial_pose_by_topic(probe):
+    stand_and_step(probe)
+    publisher = probe.node.create_publisher(
+        PoseWithCovarianceStamped, 'hybridreg/initial_pose', profile(True, 10)
+    )
+    probe.wait(publisher.get_subscription_count, 'the match')
+    msg = PoseWithCovarianceStamped()
+    msg.header.frame_id = 'map'
+    publisher.publish(msg)  # another frame and no rotation: warned of and not taken
+    msg.header.frame_id, msg.pose.pose = 'odom', to_pose(pose_matrix(START))
+    before = from_pose(probe.answer(cloud(room(0.1), stamp())).pose.pose)
+    np.testing.assert_allclose(before[:3, 3], [0.1, 0.0, 0.0], atol=0.02)
+    publisher.publish(msg)
+
+    def taken() -> bool:
+        pose = from_pose(probe.answer(cloud(room(), stamp())).pose.pose)
+        return np.allclose(pose, pose_matrix(START), atol=0.02)
+
+    probe.wait(taken, 'the pose')
+    assert 'initial_pose: ' in probe.process.log.read_text()
+
+
+def test_map_is_published_and_saved_in_the_odom_frame(probe, tmp_path):
+    assert probe.set('initial_pose', list(START)).successful
+    assert probe.set('local_map_period_s', 0.05).successful
+    probe.call('reset_to_pose')
+    probe.listen('local_map', PointCloud2)
+    probe.wait(lambda: probe.publishers_matched('local_map'), 'the match')
+    for k in range(3):
+        s = stamp()
+        probe.answer(cloud(room(0.05 * k), s))
+        probe.wait(lambda s=s: probe.at(s, 'local_map'), 'the map')
+    message = probe.at(s, 'local_map')
+    assert message.header.frame_id == 'odom'
+    shown = to_scan(message).points
+    wall = room()[::10]
+    there = se3.apply(pose_matrix(START), wall)
+    near = cKDTree(shown).query(there)[0]
+    assert np.median(near) < 0.1
+    for name in ('map.ply', 'map.pcd'):
+        path = tmp_path / name
+        assert probe.set('map_file', str(path)).successful
+        answer = probe.call('save_map')
+        assert (answer.success, answer.message) == (True, f'{len(shown)} points in {path}')
+        np.testing.assert_allclose(read_cloud(path), shown, atol=1e-5)
+    assert probe.set('map_file', '/nowhere/map.ply').successful
+    refused = probe.call('save_map')
+    assert not refused.success
+    assert 'cannot write /nowhere/map.ply' in refused.message

@@ -37,7 +37,8 @@ pytestmark = pytest.mark.ros
 SETTING = Setting(
     name='hybridreg: odometry', hardware_id='/points', weights='packaged', has_weights=True,
     transport='shared memory', transport_warning=False, input_timeout_s=60.0, paused=False,
-    waiting_for='', queue=0, tf='on',
+    starting='',
+    waiting_for='', guides={}, rivals=0, queue=0, tf='on',
 )  # fmt: skip
 
 
@@ -271,6 +272,7 @@ def test_a_bug_costs_one_cloud_and_is_an_error():
         _Stumbling(OdometryConfig(registrar='kiss-icp'), model=None),
         NodeConfig(queue_depth=10),
         monitor,
+        lambda _: None,
         lambda result: posed.append(result.stamp),
         lambda _, result: published.append(result.stamp),
         lambda *_: None,

@@ -8,7 +8,6 @@ import os
 import re
 import subprocess
 import sys
-import threading
 
 import pytest
 
@@ -19,10 +18,10 @@ from rcl_interfaces.srv import DescribeParameters, ListParameters
 from ros_harness import KISS, QUICK, STEP_NS, cloud, domain, room, running
 
 from hybridreg_ros.odometry.config import OdometryConfig
-from hybridreg_ros.ros import odometry_node
+from hybridreg_ros.ros import node
 from hybridreg_ros.ros.odometry_node import main
 from hybridreg_ros.ros.parameters import leaves
-from hybridreg_ros.ros.playback.node_process import LOCALHOST
+from hybridreg_ros.ros.playback.node_process import LOCALHOST, NodeProcess
 
 pytestmark = pytest.mark.ros
 
@@ -46,6 +45,7 @@ def start(*arguments: str, **environment: str) -> subprocess.CompletedProcess[st
         (('-p', 'odom_frame:=""'), 'odom_frame: expected a frame name'),
         (('-p', 'base_frame:=odom'), 'base_frame: expected a frame other than odom_frame'),
         (('-p', 'extrinsic:=[0.0, 1.0]'), 'extrinsic: expected 7 numbers'),
+        (('-p', 'extrinsic:=[0.,0.,0.,0.,0.,0.,0.]'), 'expected a unit quaternion, found norm 0'),
         (('-p', 'weights:=/nowhere/w.safetensors'), '/nowhere/w.safetensors'),
     ],
 )
@@ -57,10 +57,55 @@ def test_bad_parameters_are_one_line_and_code_2(arguments, text, capfd, monkeypa
     assert text in lines[0]
 
 
+@pytest.mark.parametrize(
+    ('arguments', 'text'),
+    [
+        (('--params-file', '/nowhere.yaml'), 'parameter file /nowhere.yaml: No such file'),
+        (('--params-file', '{broken}'), 'broken.yaml: while parsing a flow sequence'),
+        (('--params-file', '{plain}'), 'plain.yaml: expected node names, found a str'),
+        (('--params-file', '{mixed}'), 'Sequence should be of same type'),
+        (('--params-file',), 'No file path provided'),
+        (('-r', 'nonsense'), "Couldn't parse remap rule: '-r nonsense'"),
+        (('--nonsense',), "ROS arguments not understood: ['--nonsense']"),
+    ],
+)
+def test_bad_ros_arguments_are_one_line_and_code_2(arguments, text, tmp_path, capfd):
+    texts = {
+        'broken': 'a: [1, x',
+        'plain': 'hello',
+        'mixed': '/**: {ros__parameters: {a: [1, x]}}',
+    }
+    files = {name: tmp_path / f'{name}.yaml' for name in texts}
+    for name, path in files.items():
+        path.write_text(texts[name])
+    assert main(['--ros-args', *(a.format(**files) for a in arguments)]) == 2
+    line = capfd.readouterr().err
+    assert line.startswith('odometry_node: ')
+    assert line.count('\n') == 1
+    assert text in line
+    assert '.c:' not in line
+
+
+@pytest.mark.parametrize(
+    ('argument', 'code', 'text'),
+    [
+        ('--help', 0, '-r points:=/lidar/points'),
+        ('--version', 0, 'odometry_node 0.'),
+        ('--hlep', 2, 'unrecognized arguments: --hlep'),
+        ('stray', 2, 'unrecognized arguments: stray'),
+    ],
+)
+def test_help_version_and_strays_are_answered_without_a_start(argument, code, text, capfd):
+    with pytest.raises(SystemExit) as end:
+        main([argument, '--ros-args', '-r', 'points:=/lidar/points'])
+    assert end.value.code == code
+    assert text in ''.join(capfd.readouterr())
+
+
 def test_threads_of_the_node_share_one_heap(monkeypatch):
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain()))
     asked = []
-    monkeypatch.setattr(odometry_node, 'one_heap', lambda: asked.append(1))
+    monkeypatch.setattr(node, 'one_heap', lambda: asked.append(1))
     assert main(['--ros-args', '-p', 'voxel_size_m:=-1']) == 2
     assert asked == [1]
 
@@ -137,23 +182,13 @@ def test_changes_out_of_range_are_refused_with_the_reason(probe, name, value, re
     assert re.search(reason, result.reason), result.reason
 
 
-def test_interrupt_under_load_ends_with_0_and_no_traceback():
-    with running('stop', queue_depth=3) as probe:
-        stopped, points = threading.Event(), room()
-
-        def flood() -> None:
-            for k in range(1, 10_000):
-                if stopped.wait(0.002):
-                    return
-                probe.send(cloud(points, k * 1_000_000))
-
-        thread = threading.Thread(target=flood)
-        thread.start()
-        probe.wait(lambda: len(probe.odometry) > 5, 'odometry')
-        code = probe.process.stop()
-        stopped.set()
-        thread.join()
-        log = probe.process.log.read_text()
-        assert code == 0, log
-        assert 'Traceback' not in log
-        assert 'rror' not in log, log
+def test_two_nodes_of_one_name_are_an_error_that_both_say(probe):
+    levels = probe.watch_levels()
+    space = probe.node.get_namespace()
+    with NodeProcess((KISS, QUICK), space, domain()) as second:
+        probe.wait(lambda: '1 more of this name publish the same odometry' in probe.text, 'word')
+        assert DiagnosticStatus.ERROR in levels
+        second.wait_until(lambda: 'twins: 1 more' in second.log.read_text(), 60.0, 'its warning')
+        assert 'twins: 1 more' in probe.process.log.read_text()
+        assert second.stop() == 0
+    probe.wait(lambda: 'of this name' not in probe.text, 'the end of it')

@@ -14,12 +14,12 @@ pytest.importorskip('rclpy', reason='rclpy is not installed (pip install hybridr
 pytest.importorskip('tf2_msgs.msg', reason='no tf2_msgs (scripts/build_tf2_msgs.py builds it)')
 
 from geometry_msgs.msg import TransformStamped
-from ros_harness import FRAME, STEP_NS, cloud, room, running, to_ns
+from ros_harness import FRAME, STEP_NS, cloud, room, running
 from tf2_msgs.msg import TFMessage
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.quaternion import to_quaternion
-from hybridreg_ros.ros.conversions import from_pose, rotation
+from hybridreg_ros.ros.conversions import from_pose, rotation, to_ns
 from hybridreg_ros.ros.qos import profile
 
 pytestmark = pytest.mark.ros
@@ -106,6 +106,25 @@ def test_waits_for_the_extrinsic_then_follows_it(probe):
         np.testing.assert_allclose(matrix(sent[0]), pose, atol=1e-9)
 
 
+def test_a_sensor_that_is_moved_on_tf_static_makes_no_jump(probe):
+    before = from_pose(probe.answer(cloud(room(0.3), stamp())).pose.pose)
+    static = probe.node.create_publisher(TFMessage, '/tf_static', profile(True, 1, latched=True))
+    there = T_MOUNT_LIDAR @ se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0]))
+    moved = TFMessage(transforms=[edge('mount', FRAME, there)])
+    static.publish(moved)
+    text = f'/tf_static has moved {FRAME} in base_tf_test'
+    for _ in range(5):
+        after = from_pose(probe.answer(cloud(room(0.3), stamp())).pose.pose)
+        np.testing.assert_allclose(after, before, atol=0.02)
+    probe.wait(lambda: text in probe.process.log.read_text(), 'the warning')
+    probe.call('reset')
+    probe.answer(cloud(room(), stamp()))
+    pose = from_pose(probe.answer(cloud(room(0.1), stamp())).pose.pose)
+    T = T_BASE_MOUNT @ there
+    shift = se3.transform(np.eye(3), np.array([0.1, 0.0, 0.0]))
+    np.testing.assert_allclose(pose, T @ shift @ se3.inverse(T), atol=0.03)
+
+
 def test_inverted_and_switched_off(probe):
     assert probe.set('invert_tf', True).successful
     s = stamp()
@@ -145,6 +164,9 @@ def test_base_frame_by_parameter():
             pose = from_pose(probe.answer(cloud(room(0.1 * k), stamp())).pose.pose)
         moved = se3.transform(np.eye(3), np.array([0.3, 0.0, 0.0]))
         np.testing.assert_allclose(pose, T @ moved @ se3.inverse(T), atol=0.03)
-        result = probe.set('extrinsic', [0.0] * 7)
-        assert not result.successful
-        assert 'expected a unit quaternion, found norm 0' in result.reason
+        for name, value in (('extrinsic', [0.1, *numbers[1:]]), ('base_frame', 'base_q')):
+            result = probe.set(name, value)
+            assert not result.successful
+            assert f'read-only parameter: {name}' in result.reason
+        again = from_pose(probe.answer(cloud(room(0.3), stamp())).pose.pose)
+        np.testing.assert_allclose(again, pose, atol=0.01)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+from importlib.metadata import version
 
 
 def parser() -> argparse.ArgumentParser:
@@ -13,6 +14,7 @@ def parser() -> argparse.ArgumentParser:
         prog='bag_player',
         description='Play a rosbag2 into ROS topics, with QoS and /clock on request.',
     )
+    p.add_argument('--version', action='version', version=f'bag_player {version("hybridreg_ros")}')
     p.add_argument('bag', help='rosbag2 file (.mcap, .db3) or directory')
     p.add_argument('--topics', nargs='+', default=[], help='topics to play (default: all)')
     p.add_argument('--rate', type=float, default=1.0, help='playback speed, 1 = as recorded')

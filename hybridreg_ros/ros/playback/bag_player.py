@@ -4,134 +4,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
-import threading
-from typing import TYPE_CHECKING, Any
 
-import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.utilities import remove_ros_args
-
-from hybridreg_ros.core.errors import HybridRegError
-from hybridreg_ros.ros.playback.arguments import parser
-from hybridreg_ros.ros.playback.flow import Flow
-from hybridreg_ros.ros.playback.player import Player, PlayOptions, PlayReport
-from hybridreg_ros.ros.session import ros_session
-
-if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from rclpy.node import Node
-
-_FLUSH_S = 5.0
-_DRAIN_S = 10.0
-
-
-def options(args: argparse.Namespace) -> PlayOptions:
-    """Options of the player from the command line.
-
-    Raises:
-        HybridRegError: a number is out of range.
-    """
-    for name in ('rate', 'clock', 'wait', 'start', 'duration', 'lossless'):
-        if getattr(args, name) < 0 or getattr(args, name) != getattr(args, name):
-            raise HybridRegError(f'--{name}: expected >= 0, found {getattr(args, name)}')
-    if not args.rate and not args.lossless:
-        raise HybridRegError('--rate 0 needs --lossless: expected a speed above 0')
-    if args.lossless and args.qos != 'reliable':
-        raise HybridRegError('--lossless needs --qos reliable')
-    return PlayOptions(
-        topics=tuple(args.topics),
-        rate=args.rate,
-        clock_hz=args.clock,
-        reliable=args.qos == 'reliable',
-        depth=args.qos_depth,
-        wait_s=args.wait or (30.0 if args.lossless else 0.0),
-        start_s=args.start,
-        duration_s=args.duration,
-    )
-
-
-def open_bag(path: str | Path) -> Any:
-    """Open a bag with the reader that the offline replay uses.
-
-    Raises:
-        BagError: missing, not a bag, or damaged beyond repair.
-        DependencyError: rosbags or mcap is not installed.
-    """
-    from hybridreg_ros.replay import bag_reader
-
-    return bag_reader.open_bag(path)
-
-
-@contextlib.contextmanager
-def spinning(node: Node) -> Iterator[None]:
-    """Spin a node in a thread of its own."""
-    executor = SingleThreadedExecutor(context=node.context)
-    executor.add_node(node)
-
-    def spin() -> None:
-        with contextlib.suppress(ExternalShutdownException, KeyboardInterrupt):
-            executor.spin()
-
-    thread = threading.Thread(target=spin, name='spin', daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        executor.shutdown()
-        thread.join(2.0)
-
-
-def play(node: Node, args: argparse.Namespace, active: Callable[[], bool]) -> PlayReport:
-    """Play the bag once or in a loop.
-
-    Args:
-        node: publishes; spun by this function.
-        args: command line of `parser`.
-        active: playing ends early once it says False.
-
-    Raises:
-        HybridRegError: bad options, a bad bag, or nobody listens.
-    """
-    opts = options(args)
-    report = PlayReport()
-    with contextlib.closing(open_bag(args.bag)) as bag, spinning(node):
-        player = Player(node, bag, opts, active)
-        flow = Flow(node, args.node, args.lossless) if args.lossless else None
-        _wait(player, flow, opts.wait_s, args.node, active)
-        while active():
-            player.play(report, flow.may_send if flow else None)
-            if active() and not sum(report.sent.values()):
-                raise HybridRegError(f'{args.bag}: no message was played')
-            if not args.loop:
-                break
-        if flow is not None and active() and not flow.drain(_DRAIN_S):
-            node.get_logger().warning(f'{flow.under_way} clouds did not come back')
-        if flow is not None and flow.dropped:
-            node.get_logger().warning(f'dropped by {args.node}: {dict(flow.dropped)}')
-        if opts.reliable and active() and not player.flush(_FLUSH_S):
-            node.get_logger().warning('a subscriber has not acknowledged every message')
-    return report
-
-
-def _wait(
-    player: Player, flow: Flow | None, wait_s: float, target: str, active: Callable[[], bool]
-) -> None:
-    """Wait for subscribers, and for the node that the flow control follows.
-
-    Raises:
-        HybridRegError: they did not come.
-    """
-    heard = not wait_s or player.wait_until(lambda: player.heard, wait_s)
-    if not heard and active():
-        raise HybridRegError(f'nobody subscribed to the clouds within {wait_s:g} s')
-    found = flow is None or player.wait_until(lambda: flow.seen, wait_s)
-    if not found and active():
-        raise HybridRegError(f'no diagnostics of node {target} within {wait_s:g} s (see --node)')
+from hybridreg_ros.ros.stop_signals import StopSignals, leave
 
 
 def main(args: list[str] | None = None) -> int:
@@ -141,25 +16,30 @@ def main(args: list[str] | None = None) -> int:
         args: command line without the program's name; None = that of this process.
 
     Returns:
-        0 at the end of the bag or after Ctrl-C, 2 after an error (one line on stderr).
+        0 at the end of the bag, 2 after an error (one line on stderr). SIGINT and SIGTERM end the
+        process with 0 from within.
     """
     argv = sys.argv[1:] if args is None else args
-    parsed = parser().parse_args(remove_ros_args(['bag_player', *argv])[1:])
-    with ros_session(argv) as session:
-        node: Node | None = None
-        try:
-            node = rclpy.create_node('bag_player')
-            report = play(node, parsed, lambda: session.active)
-            sent = ', '.join(f'{topic} {n}' for topic, n in sorted(report.sent.items()))
-            node.get_logger().info(
-                f'played {sent or "nothing"} in {report.seconds:.1f} s, {report.late} late'
-            )
-        except HybridRegError as error:
-            sys.stderr.write(f'bag_player: {error}\n')
-            return 2
-        finally:
-            if node is not None:
-                node.destroy_node()
+    with StopSignals() as stop:
+        code = _run(argv, stop)
+    if stop.asked:
+        leave(code)
+    return code
+
+
+def _run(argv: list[str], stop: StopSignals) -> int:
+    from hybridreg_ros.core.errors import HybridRegError
+    from hybridreg_ros.ros.playback.arguments import parser
+    from hybridreg_ros.ros.session import own_arguments
+
+    try:
+        parsed = parser().parse_args(own_arguments('bag_player', argv))
+        from hybridreg_ros.ros.playback.playing import run
+
+        run(parsed, argv, stop)
+    except HybridRegError as error:
+        sys.stderr.write(f'bag_player: {error}\n')
+        return 2
     return 0
 
 

@@ -18,10 +18,10 @@ from hybridreg_ros.core.errors import ConfigError, HybridRegError
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.ros import fastdds
 from hybridreg_ros.ros.node_config import NodeConfig
-from hybridreg_ros.ros.playback.bag_player import open_bag, spinning
 from hybridreg_ros.ros.playback.flow import Flow
 from hybridreg_ros.ros.playback.node_process import LOCALHOST, NodeProcess
 from hybridreg_ros.ros.playback.player import Player, PlayOptions, PlayReport
+from hybridreg_ros.ros.playback.playing import open_bag, spinning
 from hybridreg_ros.ros.qos import profile
 
 if TYPE_CHECKING:

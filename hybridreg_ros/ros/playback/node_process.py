@@ -24,6 +24,16 @@ if TYPE_CHECKING:
 LOCALHOST = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
 
 
+def waits_for_signals(pid: int) -> bool:
+    """Whether an executable of this package has come as far as to take signals.
+
+    Before, while the interpreter starts (a tenth of a second), the system's defaults hold.
+    """
+    text = Path(f'/proc/{pid}/status').read_text(encoding='utf-8')
+    blocked = next(line for line in text.splitlines() if line.startswith('SigBlk:'))
+    return bool(int(blocked.split()[1], 16) >> (signal.SIGINT - 1) & 1)
+
+
 class NodeProcess:
     """Starts odometry_node with a config and ends it; use it as a context manager."""
 
@@ -89,17 +99,20 @@ class NodeProcess:
 
     def stop(self, timeout_s: float = 10.0) -> int:
         """Interrupt the node as Ctrl-C does; returns its exit code."""
-        process = self._process
-        if process is None:
+        if self._process is not None and self._process.poll() is None:
+            self._process.send_signal(signal.SIGINT)
+        return self.ended(timeout_s)
+
+    def ended(self, timeout_s: float) -> int:
+        """Exit code of the node; it is killed when it does not end within the time."""
+        if self._process is None:
             return 0
-        if process.poll() is None:
-            process.send_signal(signal.SIGINT)
-            try:
-                process.wait(timeout_s)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-        return process.returncode
+        try:
+            self._process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        return self._process.returncode
 
     def check(self) -> None:
         """Make sure that the node is alive.

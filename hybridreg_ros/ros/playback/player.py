@@ -13,7 +13,7 @@ from rosgraph_msgs.msg import Clock
 from hybridreg_ros.core.errors import BagError, DependencyError
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.ros.conversions import to_time
-from hybridreg_ros.ros.interfaces import message_class
+from hybridreg_ros.ros.playback.interfaces import message_class
 from hybridreg_ros.ros.qos import profile, publisher_events
 
 if TYPE_CHECKING:
@@ -59,12 +59,14 @@ class PlayReport:
     Attributes:
         sent: messages per topic.
         clouds: clouds among them.
+        unheard: clouds that nobody subscribed to at their time.
         late: messages published more than 50 ms after their time.
         seconds: wall time.
     """
 
     sent: dict[str, int] = field(default_factory=dict)
     clouds: int = 0
+    unheard: int = 0
     late: int = 0
     seconds: float = 0.0
 
@@ -133,7 +135,23 @@ class Player:
     @property
     def heard(self) -> bool:
         """Whether every cloud topic has a subscriber."""
-        return all(p.get_subscription_count() for p in self.cloud_publishers)
+        return not self.unheard
+
+    @property
+    def unheard(self) -> list[str]:
+        """Cloud topics that nobody subscribes to, by their full names."""
+        return [p.topic_name for p in self.cloud_publishers if not p.get_subscription_count()]
+
+    @property
+    def hint(self) -> str:
+        """How to reach those who wait for clouds on another topic; '' when there is nobody."""
+        node = self._node
+        topics = [n for n, kinds in node.get_topic_names_and_types() if POINT_CLOUD2 in kinds]
+        for name in topics:
+            if node.count_subscribers(name) and not node.count_publishers(name) and self.unheard:
+                rule = f'{self.unheard[0]}:={name}'
+                return f'; {name} waits for clouds: add --ros-args -r {rule}'
+        return ''
 
     def wait_until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait for a condition; False when the time is over or playing is to end."""
@@ -183,9 +201,20 @@ class Player:
                 report.late += time.monotonic() - due > 0.05
             self._publishers[message.topic].publish(message.raw)
             report.sent[message.topic] = report.sent.get(message.topic, 0) + 1
-            report.clouds += is_cloud
+            if is_cloud:
+                self._count(report, self._publishers[message.topic])
         report.seconds += time.monotonic() - began
         return report
+
+    def _count(self, report: PlayReport, publisher: Any) -> None:
+        """Count a cloud; say once that nobody hears it."""
+        report.clouds += 1
+        if publisher.get_subscription_count():
+            return
+        if not report.unheard:
+            text = f'nobody listens to {publisher.topic_name} yet; --wait waits for a subscriber'
+            self._node.get_logger().warning(text + self.hint)
+        report.unheard += 1
 
     def _sleep_until(self, due: float, bag_ns: int) -> bool:
         """Sleep, sending /clock meanwhile; False when playing is to end."""

@@ -23,10 +23,10 @@ from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.ros.conversions import to_pointcloud2, to_time
 from hybridreg_ros.ros.node_config import NodeConfig
-from hybridreg_ros.ros.playback.bag_player import spinning
 from hybridreg_ros.ros.playback.flow import Flow
 from hybridreg_ros.ros.playback.live import own_node
 from hybridreg_ros.ros.playback.node_process import NodeProcess
+from hybridreg_ros.ros.playback.playing import spinning
 from hybridreg_ros.ros.qos import profile
 
 if TYPE_CHECKING:

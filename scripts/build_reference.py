@@ -117,9 +117,9 @@ def cli() -> str:
     texts = [command(f'hybridreg {name}', p) for name, p in commands.choices.items()]
     texts.append(command('bag_player', player.parser()))
     texts.append(
-        '## odometry_node\n\nTakes ROS arguments only: `--ros-args -r points:=TOPIC`, '
-        '`-p NAME:=VALUE`, `--params-file FILE`. See [ROS interface](ros.md) and '
-        '[options](options.md).'
+        '## odometry_node\n\nTakes `--help`, `--version` and ROS arguments: '
+        '`--ros-args -r points:=TOPIC`, `-p NAME:=VALUE`, `--params-file FILE`. See '
+        '[ROS interface](ros.md) and [options](options.md).'
     )
     return '\n\n'.join(texts)
 

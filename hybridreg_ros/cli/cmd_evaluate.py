@@ -9,13 +9,17 @@ import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from hybridreg_ros.cli.common import budget_of, write_result
 from hybridreg_ros.cli.many import each
 from hybridreg_ros.core import provenance
 from hybridreg_ros.core.config import to_dict
-from hybridreg_ros.core.errors import FileFormatError
+from hybridreg_ros.core.errors import ConfigError, FileFormatError
 from hybridreg_ros.core.progress import progress
+from hybridreg_ros.data.loaders.labelled import open_labelled
 from hybridreg_ros.data.loaders.openers import open_pairs
+from hybridreg_ros.training import moving
 from hybridreg_ros.training.baselines import METHODS
 from hybridreg_ros.training.evaluate import evaluate, evaluate_method, recorded_pairs
 from hybridreg_ros.training.kept_scores import KeptScores
@@ -60,9 +64,7 @@ class Task:
 def run(args: argparse.Namespace) -> int:
     """Score every pair, print one table."""
     if args.moving:
-        from hybridreg_ros.cli import cmd_moving
-
-        return cmd_moving.run(args)
+        return run_moving(args)
     about: dict[str, Any] = {'method': args.method}
     if args.method not in METHODS:
         load_variant(
@@ -150,3 +152,35 @@ def scores_of(task: Task) -> tuple[PairScore, ...]:
 def _model(variant: str, weights: Path | None, attempts: int | None) -> HybridReg:
     """Model of this process, loaded once."""
     return load_variant(variant, weights, attempts)
+
+
+def run_moving(args: argparse.Namespace) -> int:
+    """Score the masks on every folder of labelled pairs, print one table."""
+    if args.method != OURS:
+        raise ConfigError(f'method: expected {OURS} with --moving, found {args.method}')
+    sources = {folder: open_labelled(folder, args.gap_s) for folder in args.data}
+    model, budget = load_variant(OURS, args.weights, attempts=1), budget_of(args)
+
+    def scored(folder: Path) -> moving.MovingScore:
+        pairs = sources[folder]
+        rows = range(len(pairs))
+        if args.limit is not None and args.limit < len(pairs):
+            rows = np.linspace(0, len(pairs) - 1, args.limit).round().astype(int).tolist()
+        name = folder.resolve().name
+        shown = progress((pairs.labelled(row) for row in rows), len(rows), name, 'pair')
+        return moving.score_moving(model, shown, name, budget)
+
+    scores = [scored(folder) for folder in args.data]
+    table = moving.to_markdown(scores)
+    print(table, end='')
+    if args.markdown is not None:
+        args.markdown.parent.mkdir(parents=True, exist_ok=True)
+        args.markdown.write_text(table, encoding='utf-8')
+    about: dict[str, Any] = {
+        'weights': 'packaged' if args.weights is None else provenance.sha256(args.weights),
+        'gap_s': args.gap_s,
+        'budget': None if budget is None else to_dict(budget),
+        'git': provenance.git_hash(),
+    }
+    write_result(args, {'about': about, 'rows': [score.row() for score in scores]})
+    return 0

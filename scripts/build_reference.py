@@ -36,9 +36,17 @@ OPTIONS = (
 )
 _MARK = re.compile(r'<!-- generated: (\w+) -->')
 _UNITS = (
-    ('_m', 'm'), ('_s', 's'), ('_ns', 'ns'), ('_deg', '°'), ('_rad', 'rad'), ('_hz', 'Hz'),
-    ('_voxels', 'voxels'), ('_mb', 'MB'), ('_minutes', 'min'), ('_hours', 'h'),
-)  # fmt: skip
+    ('_m', 'm'),
+    ('_s', 's'),
+    ('_ns', 'ns'),
+    ('_deg', '°'),
+    ('_rad', 'rad'),
+    ('_hz', 'Hz'),
+    ('_voxels', 'voxels'),
+    ('_mb', 'MB'),
+    ('_minutes', 'min'),
+    ('_hours', 'h'),
+)
 
 
 # mkdocs
@@ -196,9 +204,12 @@ def option(field: dataclasses.Field[Any], value: Any, path: str, title: str) -> 
     """Row of one option."""
     doc = field.metadata['doc']
     row = (
-        f'`{path}{field.name}`', f'`{literal(value)}`', limits(field.metadata),
-        unit(field.name, doc), doc,
-    )  # fmt: skip
+        f'`{path}{field.name}`',
+        f'`{literal(value)}`',
+        limits(field.metadata),
+        unit(field.name, doc),
+        doc,
+    )
     if title != 'Node':
         return row
     fixed = importlib.import_module(f'{PACKAGE}.ros.node_config').RESTART_ONLY
@@ -248,11 +259,15 @@ def ros() -> str:
     config = importlib.import_module(f'{PACKAGE}.ros.node_config')
     rows = [
         (
-            'in' if t.received else 'out', f'`{t.by_default}`', f'`{t.name}`', f'`{t.type}`',
-            str(t.depth or '`input_qos_depth`'), t.doc,
+            'in' if t.received else 'out',
+            f'`{t.by_default}`',
+            f'`{t.name}`',
+            f'`{t.type}`',
+            str(t.depth or '`input_qos_depth`'),
+            t.doc,
         )
         for t in topics.TOPICS
-    ]  # fmt: skip
+    ]
     services = [(f'`{s.by_default}`', f'`{s.name}`', s.doc) for s in topics.SERVICES]
     at_run_time = ', '.join(f'`{name}`' for name in config.RUNTIME)
     return '\n\n'.join(

@@ -24,12 +24,26 @@ import tempfile
 from pathlib import Path
 
 AMENT = (
-    'cmake', 'cmake-core', 'cmake-export-definitions', 'cmake-export-dependencies',
-    'cmake-export-include-directories', 'cmake-export-interfaces', 'cmake-export-libraries',
-    'cmake-export-link-flags', 'cmake-export-targets', 'cmake-gen-version-h', 'cmake-gmock',
-    'cmake-gtest', 'cmake-include-directories', 'cmake-libraries', 'cmake-pytest', 'cmake-python',
-    'cmake-target-dependencies', 'cmake-test', 'cmake-version',
-)  # fmt: skip
+    'cmake',
+    'cmake-core',
+    'cmake-export-definitions',
+    'cmake-export-dependencies',
+    'cmake-export-include-directories',
+    'cmake-export-interfaces',
+    'cmake-export-libraries',
+    'cmake-export-link-flags',
+    'cmake-export-targets',
+    'cmake-gen-version-h',
+    'cmake-gmock',
+    'cmake-gtest',
+    'cmake-include-directories',
+    'cmake-libraries',
+    'cmake-pytest',
+    'cmake-python',
+    'cmake-target-dependencies',
+    'cmake-test',
+    'cmake-version',
+)
 REQUIREMENTS = (
     *(f'ros-jazzy-ament-{name}==2.5.4' for name in AMENT),
     'ros-jazzy-ament-package==0.16.4',
@@ -183,9 +197,18 @@ def main() -> None:
         ]
         built = folder / 'install'
         run(
-            ['cmake', '-S', str(source), '-B', str(folder / 'build'), *options,
-             f'-DCMAKE_INSTALL_PREFIX={built}'], env, log,
-        )  # fmt: skip
+            [
+                'cmake',
+                '-S',
+                str(source),
+                '-B',
+                str(folder / 'build'),
+                *options,
+                f'-DCMAKE_INSTALL_PREFIX={built}',
+            ],
+            env,
+            log,
+        )
         say('compiling')
         run(['cmake', '--build', str(folder / 'build'), '--target', 'install', '-j2'], env, log)
         install(built, Path(sys.prefix))

@@ -25,8 +25,15 @@ RESULTS = Path(__file__).resolve().parents[1] / 'docs' / 'results'
 
 def cost_table(costs: list[dict[str, Any]]) -> str:
     """What `hybridreg bench --data --json` measured, as Markdown."""
-    heads = ('split', 'pairs', 'CPU ms a pair', 'of which ray casting', 'pairs/s on two cores',
-             'MB per 1,000 pairs', 'peak MB')  # fmt: skip
+    heads = (
+        'split',
+        'pairs',
+        'CPU ms a pair',
+        'of which ray casting',
+        'pairs/s on two cores',
+        'MB per 1,000 pairs',
+        'peak MB',
+    )
     lines = ['| ' + ' | '.join(heads) + ' |', '|---' * len(heads) + '|']
     lines += [
         f'| {c["split"]} | {c["pairs"]} | {1e3 * c["cpu_s"]:.0f} '

@@ -99,9 +99,11 @@ def reweighted(ours: list[Score], real: list[Score]) -> dict[str, Any] | None:
     low, high = np.nanpercentile(draws, [2.5, 97.5])
     value = _expected(counts.sum(0), weight)
     return {
-        'pairs': len(ours), 'scenes': len(counts), 'RR': value,
+        'pairs': len(ours),
+        'scenes': len(counts),
+        'RR': value,
         'RR_95': (float(low), float(high)),
-    }  # fmt: skip
+    }
 
 
 def _expected(counts: Any, weight: Any) -> float:

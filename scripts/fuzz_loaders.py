@@ -195,8 +195,22 @@ def seeds(folder: Path) -> dict[str, list[Path]]:
     return {name: sorted(folder.glob(patterns.get(name, f'*.{name}'))) for name in names}
 
 
-TOKENS = (b'nan', b'inf', b'-inf', b'1e400', b'', b'0', b'-1', b'99999999999999999999', b'x y z',
-          b'\x00', b'\xff\xfe', b'1700000000123456789', b'\n', b'#')  # fmt: skip
+TOKENS = (
+    b'nan',
+    b'inf',
+    b'-inf',
+    b'1e400',
+    b'',
+    b'0',
+    b'-1',
+    b'99999999999999999999',
+    b'x y z',
+    b'\x00',
+    b'\xff\xfe',
+    b'1700000000123456789',
+    b'\n',
+    b'#',
+)
 
 
 def damaged(data: bytes, rng: np.random.Generator, others: list[bytes]) -> tuple[bytes, bool]:
@@ -254,10 +268,17 @@ class StandIn:
         StandIn.points = sizes[0]
         StandIn.digest = hashlib.sha256(source.tobytes()).hexdigest()
         return SimpleNamespace(
-            T_target_source=np.eye(4), T_lgr=np.eye(4), confidence=0.0, inliers=0,
-            correspondences=(), voxel_size_m=voxel, source_uncertainty=np.zeros(1),
-            target_uncertainty=np.zeros(1), timings_s={}, attempts=1,
-        )  # fmt: skip
+            T_target_source=np.eye(4),
+            T_lgr=np.eye(4),
+            confidence=0.0,
+            inliers=0,
+            correspondences=(),
+            voxel_size_m=voxel,
+            source_uncertainty=np.zeros(1),
+            target_uncertainty=np.zeros(1),
+            timings_s={},
+            attempts=1,
+        )
 
 
 class Fuzzer:
@@ -304,24 +325,45 @@ class Fuzzer:
         if name in ('mcap', 'db3', 'bag'):
             yield ['score', str(path), truth]
             if every or self.rng.integers(REPLAYED) == 0:
-                yield ['replay', str(path), '--registrar', 'kiss-icp', '--topic', STATIC_TOPIC,
-                       '--out', str(out), '--no-clouds']  # fmt: skip
+                yield [
+                    'replay',
+                    str(path),
+                    '--registrar',
+                    'kiss-icp',
+                    '--topic',
+                    STATIC_TOPIC,
+                    '--out',
+                    str(out),
+                    '--no-clouds',
+                ]
         elif name == 'tum':
             yield ['score', str(path), truth, '--tolerance', '1']
             yield ['score', truth, str(path)]
         elif name == 'kitti':
             yield ['score', str(path), str(self.sound / 'kitti.txt')]
         elif name == 'folder':
-            yield ['convert', path.name.removeprefix('as_'), str(path), '--overwrite',
-                   '--out', str(self.folder / 'k.mcap')]  # fmt: skip
+            yield [
+                'convert',
+                path.name.removeprefix('as_'),
+                str(path),
+                '--overwrite',
+                '--out',
+                str(self.folder / 'k.mcap'),
+            ]
         else:
             yield ['register', str(path), str(self.sound / 'cloud.npy')]
         if name == 'bin':
             shutil.rmtree(self.folder / 'k', ignore_errors=True)
             (self.folder / 'k').mkdir()
             shutil.copy(path, self.folder / 'k' / '0.bin')
-            yield ['convert', 'kitti', str(self.folder / 'k'), '--overwrite',
-                   '--out', str(self.folder / 'k.mcap')]  # fmt: skip
+            yield [
+                'convert',
+                'kitti',
+                str(self.folder / 'k'),
+                '--overwrite',
+                '--out',
+                str(self.folder / 'k.mcap'),
+            ]
 
     def check_sound(self, name: str, path: Path) -> None:
         """A sound file must be read; this also compiles and imports what the others need.
@@ -400,9 +442,12 @@ def stop(*_: object) -> None:
 
 
 def fuzz(
-    count: int, seed: int, formats: list[str], keep: Path | None,
+    count: int,
+    seed: int,
+    formats: list[str],
+    keep: Path | None,
     tick: Callable[[int], None] = lambda _: None,
-) -> tuple[dict[str, Counter[str]], list[str]]:  # fmt: skip
+) -> tuple[dict[str, Counter[str]], list[str]]:
     """Outcomes by format, and a text about each that must not be.
 
     Args:

@@ -56,9 +56,11 @@ class Row:
         """Where the value stands."""
         if math.isnan(self.value):
             return 'not measured'
-        better = (lambda limit: self.value >= limit) if self.least else (
-            lambda limit: self.value <= limit
-        )  # fmt: skip
+        better = (
+            (lambda limit: self.value >= limit)
+            if self.least
+            else (lambda limit: self.value <= limit)
+        )
         return 'goal' if better(self.goal) else 'floor' if better(self.floor) else '**below**'
 
 
@@ -171,7 +173,7 @@ def confidence_rows(scores: Scores) -> list[Row]:
     return [
         Row('ECE of the confidence', error, 0.05, 0.02, f'n = {len(found)}', False, 3),
         Row('wrong above the gate %', wrong, 2, 0.1, note, False),
-    ]  # fmt: skip
+    ]
 
 
 def cost_rows(bench: dict[str, Any] | None) -> list[Row]:
@@ -223,9 +225,12 @@ def main() -> None:
     scores, sources = read(args.files)
     bench = json.loads(args.bench.read_text(encoding='utf-8')) if args.bench else None
     rows = [
-        *recall_rows(scores), *mask_rows(scores), *rival_rows(scores), *confidence_rows(scores),
+        *recall_rows(scores),
+        *mask_rows(scores),
+        *rival_rows(scores),
+        *confidence_rows(scores),
         *cost_rows(bench),
-    ]  # fmt: skip
+    ]
     plain = [
         {**vars(r), 'value': None if math.isnan(r.value) else r.value, 'verdict': r.verdict}
         for r in rows

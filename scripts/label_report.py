@@ -20,9 +20,17 @@ from hybridreg_ros.data.hybridmatch.room_pairs import GENERATOR_VERSION, SPLITS,
 from hybridreg_ros.data.hybridmatch.splits import first_seed
 
 ROOT = Path(__file__).resolve().parents[1]
-HEADS = ('split', 'pairs that can tell', 'static: median, worst', 'above 3', 'beyond 10 sigma %',
-         'movers: pairs that can tell %', 'moving, carried by its motion', 'moving, left in place',
-         'of these above 3 sigma %')  # fmt: skip
+HEADS = (
+    'split',
+    'pairs that can tell',
+    'static: median, worst',
+    'above 3',
+    'beyond 10 sigma %',
+    'movers: pairs that can tell %',
+    'moving, carried by its motion',
+    'moving, left in place',
+    'of these above 3 sigma %',
+)
 
 
 def measure(split: str, pairs: int, keep: Path) -> list[dict[str, Any]]:
@@ -55,11 +63,15 @@ def summary(split: str, found: list[dict[str, Any]]) -> dict[str, Any]:
     tell = ~np.isnan(value['left'])
     told = value['static'][~np.isnan(value['static'])]
     row: dict[str, Any] = {
-        'split': split, 'pairs': len(found),
-        'static_told': len(told), 'static_median': float(np.median(told)),
-        'static_worst': float(told.max()), 'static_above_3': int((told >= 3.0).sum()),
-        'stray': float(np.median(value['stray'])), 'tell': float(tell.mean()),
-    }  # fmt: skip
+        'split': split,
+        'pairs': len(found),
+        'static_told': len(told),
+        'static_median': float(np.median(told)),
+        'static_worst': float(told.max()),
+        'static_above_3': int((told >= 3.0).sum()),
+        'stray': float(np.median(value['stray'])),
+        'tell': float(tell.mean()),
+    }
     if tell.any():
         row |= {
             'carried': float(np.median(value['carried'][tell])),
@@ -75,11 +87,19 @@ def table(rows: list[dict[str, Any]]) -> str:
     for r in rows:
         moving = ['-'] * 4
         if r.get('left', math.nan) == r.get('left'):
-            moving = [f'{100 * r["tell"]:.0f}', f'{r["carried"]:.1f}', f'{r["left"]:.0f}',
-                      f'{100 * r["left_above_3"]:.0f}']  # fmt: skip
-        still = [r['split'], f'{r["static_told"]} of {r["pairs"]}',
-                 f'{r["static_median"]:.2f}, {r["static_worst"]:.2f}', str(r['static_above_3']),
-                 f'{100 * r["stray"]:.1f}']  # fmt: skip
+            moving = [
+                f'{100 * r["tell"]:.0f}',
+                f'{r["carried"]:.1f}',
+                f'{r["left"]:.0f}',
+                f'{100 * r["left_above_3"]:.0f}',
+            ]
+        still = [
+            r['split'],
+            f'{r["static_told"]} of {r["pairs"]}',
+            f'{r["static_median"]:.2f}, {r["static_worst"]:.2f}',
+            str(r['static_above_3']),
+            f'{100 * r["stray"]:.1f}',
+        ]
         lines.append('| ' + ' | '.join(still + moving) + ' |')
     return '\n'.join(lines)
 

@@ -66,10 +66,18 @@ def once(rng: random.Random, longest_s: float, environment: dict[str, str]) -> E
     after_s = rng.uniform(0.0, longest_s)
     with tempfile.TemporaryFile('w+') as log:
         process = subprocess.Popen(
-            [sys.executable, '-m', 'hybridreg_ros.ros.odometry_node',
-             '--ros-args', '-r', '__ns:=/signals'],
-            env=environment, stdout=log, stderr=subprocess.STDOUT,
-        )  # fmt: skip
+            [
+                sys.executable,
+                '-m',
+                'hybridreg_ros.ros.odometry_node',
+                '--ros-args',
+                '-r',
+                '__ns:=/signals',
+            ],
+            env=environment,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+        )
         while not waits_for_signals(process.pid):
             time.sleep(0.001)
         time.sleep(after_s)

@@ -40,10 +40,14 @@ def still_twin(sample: Sample) -> PointPair:
     assert sample.still is not None
     n, m = len(sample.pair.source), len(sample.still)
     return replace(
-        sample.pair, target=sample.still, dynamic_share=0.0,
-        source_label=np.zeros(n, np.uint8), target_label=np.zeros(m, np.uint8),
-        source_instance=np.zeros(n, np.uint16), target_instance=np.zeros(m, np.uint16),
-    )  # fmt: skip
+        sample.pair,
+        target=sample.still,
+        dynamic_share=0.0,
+        source_label=np.zeros(n, np.uint8),
+        target_label=np.zeros(m, np.uint8),
+        source_instance=np.zeros(n, np.uint16),
+        target_instance=np.zeros(m, np.uint16),
+    )
 
 
 def judged(sample: Sample) -> dict[str, Any]:
@@ -84,16 +88,27 @@ def summary(split: str, found: list[dict[str, Any]], method: str) -> dict[str, A
         np.array([row[f'{method} {k}'] for row in found]) for k in ('moving', 'still')
     )
     return {
-        'split': split, 'method': method, 'pairs': len(found),
-        'still': float(still.mean()), 'moving': float(moving.mean()),
-        'only_still': int((still & ~moving).sum()), 'only_moving': int((moving & ~still).sum()),
-    }  # fmt: skip
+        'split': split,
+        'method': method,
+        'pairs': len(found),
+        'still': float(still.mean()),
+        'moving': float(moving.mean()),
+        'only_still': int((still & ~moving).sum()),
+        'only_moving': int((moving & ~still).sum()),
+    }
 
 
 def table(rows: list[dict[str, Any]]) -> str:
     """Markdown."""
-    heads = ('split', 'method', 'pairs', 'all stands %', 'as it is %', 'lost by motion',
-             'won by motion')  # fmt: skip
+    heads = (
+        'split',
+        'method',
+        'pairs',
+        'all stands %',
+        'as it is %',
+        'lost by motion',
+        'won by motion',
+    )
     lines = ['| ' + ' | '.join(heads) + ' |', '|---' * len(heads) + '|']
     lines += [
         f'| {r["split"]} | {r["method"]} | {r["pairs"]} | {100 * r["still"]:.0f} '

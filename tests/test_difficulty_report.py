@@ -23,10 +23,15 @@ def report(script: Callable[[str], ModuleType]) -> ModuleType:
 def scores(split: str, overlap: float, right: int, wrong: int) -> list[dict[str, Any]]:
     """Scores of pairs of scenes of two pairs each."""
     return [
-        {'name': f'{split}-{overlap}-{k // 2}-{k}', 'split': split, 'overlap': overlap,
-         'rmse_m': 0.1 if k < right else None, 'threshold_m': 0.2}
+        {
+            'name': f'{split}-{overlap}-{k // 2}-{k}',
+            'split': split,
+            'overlap': overlap,
+            'rmse_m': 0.1 if k < right else None,
+            'threshold_m': 0.2,
+        }
         for k in range(right + wrong)
-    ]  # fmt: skip
+    ]
 
 
 def test_recall_is_weighted_to_the_overlaps_of_the_real_pairs(report: ModuleType) -> None:
@@ -58,8 +63,14 @@ def test_of_two_files_the_one_with_more_pairs_counts(report: ModuleType, tmp_pat
     files = []
     for n in (4, 2):
         mine = scores('room-match-rigid', 0.5, n, 0)
-        row = {'split': 'room-match-rigid', 'pairs': n, 'RR': 1.0, 'RR_95': (0.5, 1.0),
-               'RRE_deg': 1.0, 'RTE_m': 0.1}  # fmt: skip
+        row = {
+            'split': 'room-match-rigid',
+            'pairs': n,
+            'RR': 1.0,
+            'RR_95': (0.5, 1.0),
+            'RRE_deg': 1.0,
+            'RTE_m': 0.1,
+        }
         files.append(tmp_path / f'{n}.json')
         files[-1].write_text(
             json.dumps({'about': {'method': 'fpfh'}, 'rows': [row], 'scores': mine})

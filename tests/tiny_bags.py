@@ -119,10 +119,16 @@ def cloud_bytes(frames: int, stamped: bool = True, n: int = 3000) -> list[tuple[
         sec, nanosec = divmod(stamp if stamped else 0, 10**9)
         time = types['builtin_interfaces/msg/Time'](sec, nanosec)
         message = types['sensor_msgs/msg/PointCloud2'](
-            types['std_msgs/msg/Header'](time, 'lidar'), cloud.height, cloud.width,
+            types['std_msgs/msg/Header'](time, 'lidar'),
+            cloud.height,
+            cloud.width,
             [types['sensor_msgs/msg/PointField'](*field) for field in cloud.fields],
-            cloud.is_bigendian, cloud.point_step, cloud.row_step, cloud.data, cloud.is_dense,
-        )  # fmt: skip
+            cloud.is_bigendian,
+            cloud.point_step,
+            cloud.row_step,
+            cloud.data,
+            cloud.is_dense,
+        )
         raw = bytes(store.serialize_cdr(message, 'sensor_msgs/msg/PointCloud2'))
         found.append(('/points', stamp, raw))
     return found

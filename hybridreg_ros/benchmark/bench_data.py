@@ -56,14 +56,31 @@ def run(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
     make_samples('room-match-rigid', SEED - 1)  # imports and caches are not what is measured
     make_samples('street-match-rigid', SEED - 1)
     costs = [cost_of(s, args.pairs) for s in progress(splits, len(splits), 'bench', 'split')]
-    rows = [['split', 'pairs', 'CPU ms a pair', 'ray casting ms', 'share %',
-             'pairs/s on 2 cores', 'MB per 1000', 'peak MB']]  # fmt: skip
+    rows = [
+        [
+            'split',
+            'pairs',
+            'CPU ms a pair',
+            'ray casting ms',
+            'share %',
+            'pairs/s on 2 cores',
+            'MB per 1000',
+            'peak MB',
+        ]
+    ]
     rows += [
-        [c.split, str(c.pairs), f'{1e3 * c.cpu_s:.0f}', f'{1e3 * c.cast_s:.0f}',
-         f'{100 * c.cast_s / c.cpu_s:.0f}', f'{2.0 / c.cpu_s:.1f}', f'{c.disk_kb:.0f}',
-         f'{c.peak_mb:.0f}']
+        [
+            c.split,
+            str(c.pairs),
+            f'{1e3 * c.cpu_s:.0f}',
+            f'{1e3 * c.cast_s:.0f}',
+            f'{100 * c.cast_s / c.cpu_s:.0f}',
+            f'{2.0 / c.cpu_s:.1f}',
+            f'{c.disk_kb:.0f}',
+            f'{c.peak_mb:.0f}',
+        ]
         for c in costs
-    ]  # fmt: skip
+    ]
     text = 'processor time of one process; two cores make twice as many pairs\n' + text_table(rows)
     return text, {'costs': costs, 'provenance': provenance.collect(seed=SEED).to_dict()}
 
@@ -86,7 +103,12 @@ def cost_of(split: str, pairs: int) -> DataCost:
         raise HybridRegError(f'{split}: {_MOST_SCENES} scenes gave {made} of {pairs} pairs')
     unit = 1e6 if sys.platform == 'darwin' else 1e3
     return DataCost(
-        split, made, scenes, (time.process_time() - began) / made,
-        (CLOCK.seconds - cast) / made, (CLOCK.rays - rays) // made, size / made / 1e3,
+        split,
+        made,
+        scenes,
+        (time.process_time() - began) / made,
+        (CLOCK.seconds - cast) / made,
+        (CLOCK.rays - rays) // made,
+        size / made / 1e3,
         resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit,
-    )  # fmt: skip
+    )

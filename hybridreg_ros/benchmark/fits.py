@@ -87,9 +87,12 @@ def confidence(args: argparse.Namespace, sequences: list[Sequence]) -> Fitted:
 
 
 def _parts(
-    args: argparse.Namespace, sequence: Sequence, mark: dict[str, Any],
-    runs: Mapping[str, Callable[[list[SuiteFrame]], Part]], tick: Tick,
-) -> Iterator[dict[str, Any]]:  # fmt: skip
+    args: argparse.Namespace,
+    sequence: Sequence,
+    mark: dict[str, Any],
+    runs: Mapping[str, Callable[[list[SuiteFrame]], Part]],
+    tick: Tick,
+) -> Iterator[dict[str, Any]]:
     """What each run of a sequence gave, by its file; kept while its mark stays.
 
     The frames are loaded when a run is missing.

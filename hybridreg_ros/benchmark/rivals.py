@@ -125,9 +125,13 @@ class GicpToKeyframe:
         predicted = self._pose @ se3.inverse(self._last) @ self._pose
         target, target_tree = self._target
         found = small_gicp.align(
-            target, cloud, target_tree, se3.inverse(self._T_odom_keyframe) @ predicted,
-            max_correspondence_distance=4.0 * self._voxel, num_threads=1,
-        )  # fmt: skip
+            target,
+            cloud,
+            target_tree,
+            se3.inverse(self._T_odom_keyframe) @ predicted,
+            max_correspondence_distance=4.0 * self._voxel,
+            num_threads=1,
+        )
         pose = self._T_odom_keyframe @ se3.orthonormalise(np.array(found.T_target_source))
         if se3.is_rigid(pose):
             self._last, self._pose = self._pose, pose

@@ -114,8 +114,15 @@ def _decoded(frame: RecordedFrame) -> SuiteFrame:
     """A recorded frame through the decoder that bags and topics go through."""
     cloud = frame.cloud
     names = (
-        'height', 'width', 'fields', 'is_bigendian', 'point_step', 'row_step', 'data', 'is_dense'
-    )  # fmt: skip
+        'height',
+        'width',
+        'fields',
+        'is_bigendian',
+        'point_step',
+        'row_step',
+        'data',
+        'is_dense',
+    )
     stamp = SimpleNamespace(sec=frame.stamp // NS_PER_S, nanosec=frame.stamp % NS_PER_S)
     message = SimpleNamespace(
         header=SimpleNamespace(stamp=stamp, frame_id=frame.frame_id),

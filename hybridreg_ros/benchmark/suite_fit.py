@@ -175,9 +175,11 @@ def gather(
         else:
             last = None
     return EvidenceSamples(
-        sequence.name, np.array(features).reshape(-1, len(EVIDENCE)), np.array(right, np.bool_),
+        sequence.name,
+        np.array(features).reshape(-1, len(EVIDENCE)),
+        np.array(right, np.bool_),
         np.array(nees[1:]),
-    )  # fmt: skip
+    )
 
 
 def _distinct(candidates: list[Candidate]) -> list[Candidate]:

@@ -94,9 +94,13 @@ def _development() -> tuple[Sequence, ...]:
     few_rings = ((823, '30-50', 24), (827, '30-50', 24), (840, 'none', 24))
     slow = ((8223, 'none', 30), (8029, '10-30', 30), (8112, '30-50', 30), (8132, '30-50', 30))
     fast = (
-        (8301, 'none', 100), (8306, 'none', 100), (8309, 'none', 100), (8310, 'none', 100),
-        (8330, '10-30', 100), (8337, '10-30', 100),
-    )  # fmt: skip
+        (8301, 'none', 100),
+        (8306, 'none', 100),
+        (8309, 'none', 100),
+        (8310, 'none', 100),
+        (8330, '10-30', 100),
+        (8337, '10-30', 100),
+    )
     plain = ((8301, 'none'), (8306, 'none'), (8309, 'none'), (8330, '10-30'))
     return (
         *(_simulated(f'dev-room-{seed}', 'dev', 80, share, seed) for seed, share in rooms),
@@ -126,25 +130,47 @@ def _development() -> tuple[Sequence, ...]:
 
 _REAL = (
     Sequence(
-        'lidar_balm_walk_a', 'real', 'lidar', 30, 'kitti',
-        folder='lidar_balm_walk_a', period_s=0.5, moving=False,
+        'lidar_balm_walk_a',
+        'real',
+        'lidar',
+        30,
+        'kitti',
+        folder='lidar_balm_walk_a',
+        period_s=0.5,
+        moving=False,
     ),
     Sequence(
-        'lidar_kitti_raw_22scans', 'real', 'lidar', 22, 'kitti',
-        folder='lidar_kitti_raw_22scans', poses='poses_reference_icp.txt',
+        'lidar_kitti_raw_22scans',
+        'real',
+        'lidar',
+        22,
+        'kitti',
+        folder='lidar_kitti_raw_22scans',
+        poses='poses_reference_icp.txt',
     ),
     Sequence(
-        'lidar_kitti07_keyframes5', 'real', 'lidar', 5, 'kitti',
-        folder='lidar_kitti07_keyframes5', period_s=1.0,
+        'lidar_kitti07_keyframes5',
+        'real',
+        'lidar',
+        5,
+        'kitti',
+        folder='lidar_kitti07_keyframes5',
+        period_s=1.0,
     ),
     Sequence(
         'lidar_ouster_os1_3scans', 'real', 'lidar', 3, 'ouster', folder='lidar_ouster_os1_3scans'
     ),
     Sequence(
-        'depth_7scenes', 'real', 'depth', 100, 'depth',
-        folder='depth_7scenes', period_s=1.0 / 30.0, moving=False,
+        'depth_7scenes',
+        'real',
+        'depth',
+        100,
+        'depth',
+        folder='depth_7scenes',
+        period_s=1.0 / 30.0,
+        moving=False,
     ),
-)  # fmt: skip
+)
 
 SEQUENCES = {s.name: s for s in (*_rooms(), *_streets(), *_REAL, *_development())}
 SUITES = ('rooms', 'streets', 'real', 'dev')

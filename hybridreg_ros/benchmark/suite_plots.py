@@ -90,9 +90,12 @@ def _trajectories(cells: Sequence[Cell], suite: str) -> Any:
             if cell['method'] in _COLOURS:
                 line = np.array(cell['trajectory']['estimate'])
                 axes.plot(
-                    line[:, first], line[:, second], color=_COLOURS[cell['method']],
-                    linewidth=1, label=f'{cell["method"]} {1e3 * cell["scores"]["ate_m"]:.0f} mm',
-                )  # fmt: skip
+                    line[:, first],
+                    line[:, second],
+                    color=_COLOURS[cell['method']],
+                    linewidth=1,
+                    label=f'{cell["method"]} {1e3 * cell["scores"]["ate_m"]:.0f} mm',
+                )
         axes.set_title(name, fontsize=9)
         axes.set_aspect('equal', 'datalim')
         axes.legend(fontsize=6)

@@ -236,9 +236,11 @@ def _scores(
         # A pose that is right again after a wrong one has two wrong steps but one wrong pose.
         pose_right = bool(right or (since_m[0] <= limit_m and since_deg[0] <= limit_deg))
         rows[k] |= {
-            'step_m': float(metres[k - 1]), 'step_deg': float(degrees[k - 1]),
-            'step_right': bool(right), 'pose_right': pose_right,
-        }  # fmt: skip
+            'step_m': float(metres[k - 1]),
+            'step_deg': float(degrees[k - 1]),
+            'step_right': bool(right),
+            'pose_right': pose_right,
+        }
         anchor = k if pose_right else anchor
     path = float(path_lengths(truth)[-1])
     ate = _ate_m(estimate, truth)

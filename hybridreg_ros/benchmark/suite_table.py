@@ -71,12 +71,18 @@ def _brief(cell: Cell) -> dict[str, Any]:
     mask = score(sum((MaskCounts(*m) for m in masks), MaskCounts()))
     times = [f['cpu_ms'] for f in cell['frames'][1:]]
     return {
-        'sequence': cell['sequence']['name'], 'share': cell['sequence']['share'],
-        'method': cell['method'], 'stride': cell['stride'], **cell['scores'],
-        'cpu_ms_median': float(np.median(times)), 'cpu_ms_p95': float(np.percentile(times, 95)),
-        'iou': mask.iou, 'precision': mask.precision, 'recall': mask.recall,
+        'sequence': cell['sequence']['name'],
+        'share': cell['sequence']['share'],
+        'method': cell['method'],
+        'stride': cell['stride'],
+        **cell['scores'],
+        'cpu_ms_median': float(np.median(times)),
+        'cpu_ms_p95': float(np.percentile(times, 95)),
+        'iou': mask.iou,
+        'precision': mask.precision,
+        'recall': mask.recall,
         'by_network': sum(f['source'] == 'hybridreg' for f in cell['frames']),
-    }  # fmt: skip
+    }
 
 
 def _missing(cells: list[Cell]) -> list[str]:
@@ -144,9 +150,12 @@ def _memory(loops: list[dict[str, Any]]) -> dict[str, Any]:
     """The row of loops that are long enough."""
     return _row(
         f'growth of resident memory over {suite_memory.STEPS:,} frames of a looped sequence, MB',
-        50.0, 5.0,
-        [suite_memory.growth_mb(r) for r in loops], 'largest', max,
-    )  # fmt: skip
+        50.0,
+        5.0,
+        [suite_memory.growth_mb(r) for r in loops],
+        'largest',
+        max,
+    )
 
 
 def _row(
@@ -164,9 +173,14 @@ def _row(
     if figure is not None and math.isnan(floor):
         verdict = '-'
     return {
-        'name': name, 'floor': floor, 'goal': goal, 'figure': figure, 'n': len(kept), 'how': how,
+        'name': name,
+        'floor': floor,
+        'goal': goal,
+        'figure': figure,
+        'n': len(kept),
+        'how': how,
         'verdict': 'goal' if figure is not None and figure <= goal else verdict,
-    }  # fmt: skip
+    }
 
 
 def _p95(values: list[float]) -> float:
@@ -257,9 +271,13 @@ def markdown(table: dict[str, Any]) -> str:
             f'| {r["name"]} ({r["how"]}) | {_number(r["floor"])} | {_number(r["goal"])} '
             f'| {figure} | {r["n"]} | {r["verdict"]} |'
         )
-    lines += ['', '| sequence | moving | stride | method | frames | ATE mm | % of path '
-              '| step median mm | right steps | lost | CPU ms median / p95 | IoU | precision '
-              '| by network |', '|' + '---|' * 14]  # fmt: skip
+    lines += [
+        '',
+        '| sequence | moving | stride | method | frames | ATE mm | % of path '
+        '| step median mm | right steps | lost | CPU ms median / p95 | IoU | precision '
+        '| by network |',
+        '|' + '---|' * 14,
+    ]
     for c in table['cells']:
         lines.append(
             f'| {c["sequence"]} | {c["share"] or "-"} | {c["stride"]} | {c["method"]} '

@@ -114,13 +114,22 @@ def _budget(p: argparse.ArgumentParser) -> None:
 
 
 def _extrinsic(p: argparse.ArgumentParser, text: str) -> None:
-    p.add_argument('--extrinsic', type=float, nargs=7, help=text,
-                   metavar=('X', 'Y', 'Z', 'QX', 'QY', 'QZ', 'QW'))  # fmt: skip
+    p.add_argument(
+        '--extrinsic',
+        type=float,
+        nargs=7,
+        help=text,
+        metavar=('X', 'Y', 'Z', 'QX', 'QY', 'QZ', 'QW'),
+    )
 
 
 def _columns(p: argparse.ArgumentParser) -> None:
-    p.add_argument('--columns', type=_number(int, 3, 64), metavar='N',
-                   help='values per point of .bin files (default: by the values)')  # fmt: skip
+    p.add_argument(
+        '--columns',
+        type=_number(int, 3, 64),
+        metavar='N',
+        help='values per point of .bin files (default: by the values)',
+    )
 
 
 def _dask(p: argparse.ArgumentParser) -> None:

@@ -91,8 +91,11 @@ def fit_extrinsic(estimate: F64, reference: F64) -> F64 | None:
     start = np.concatenate([np.zeros(3), se3.so3_log(_turn(E, R, scale))])
     fit = least_squares(
         lambda x: np.append(_differences(E, R, x), _STIFF * x[:3]) / scale,
-        start, loss='soft_l1', f_scale=0.05, max_nfev=100,
-    )  # fmt: skip
+        start,
+        loss='soft_l1',
+        f_scale=0.05,
+        max_nfev=100,
+    )
     after = np.linalg.norm(_differences(E, R, fit.x), axis=1)
     explains = float(np.median(after)) < _EXPLAINED * float(np.median(before))
     return _transform(fit.x) if explains else None

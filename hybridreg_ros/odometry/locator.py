@@ -83,9 +83,12 @@ class Locator:
     """
 
     def __init__(
-        self, config: OdometryConfig, sensor: SensorModel, world: World,
+        self,
+        config: OdometryConfig,
+        sensor: SensorModel,
+        world: World,
         learned: LearnedBranch | None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._config = config
         self._voxel_m = sensor.voxel_size_m
         self._world = world

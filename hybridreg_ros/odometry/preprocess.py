@@ -131,9 +131,20 @@ def preprocess(
         icp_rows = icp_rows[:: -(-len(icp_rows) // config.icp_points)]
     times = scan.times - instant_s if deskewed and scan.times is not None else None
     return PreprocessedScan(
-        points, usable, map_rows, icp_rows, means, counts, cube, deskewed, instant_s, reported_s,
-        twist, times, share,
-    )  # fmt: skip
+        points,
+        usable,
+        map_rows,
+        icp_rows,
+        means,
+        counts,
+        cube,
+        deskewed,
+        instant_s,
+        reported_s,
+        twist,
+        times,
+        share,
+    )
 
 
 def _for_registration(

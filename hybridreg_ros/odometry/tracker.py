@@ -64,9 +64,12 @@ class Tracker:
     """
 
     def __init__(
-        self, config: OdometryConfig, sensor: SensorModel, registrar: Registrar | None,
+        self,
+        config: OdometryConfig,
+        sensor: SensorModel,
+        registrar: Registrar | None,
         motion: Motion,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.sensor = sensor
         self.lost = False
         self.source = Source.KISS_ICP if registrar is None else Source.HYBRIDREG
@@ -323,9 +326,13 @@ class Tracker:
         return True
 
     def _estimate(
-        self, pose: F64, reason: Reason, confidence: float, dynamic: NDArray[np.float32],
+        self,
+        pose: F64,
+        reason: Reason,
+        confidence: float,
+        dynamic: NDArray[np.float32],
         is_keyframe: bool,
-    ) -> Estimate:  # fmt: skip
+    ) -> Estimate:
         return Estimate(
             pose=pose,
             covariance=self.covariance,

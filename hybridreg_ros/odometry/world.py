@@ -51,9 +51,12 @@ class World:
         self._config = config
         self._sensor = sensor
         self.map = LocalMap(
-            sensor.voxel_size_m, config.map.reach_m or sensor.max_range_m,
-            config.map.points_per_voxel, config.map.coarse_factor, sensor.kind == 'depth',
-        )  # fmt: skip
+            sensor.voxel_size_m,
+            config.map.reach_m or sensor.max_range_m,
+            config.map.points_per_voxel,
+            config.map.coarse_factor,
+            sensor.kind == 'depth',
+        )
         self.keyframes = Keyframes(config.keyframe, sensor.voxel_size_m)
         self.sightings = Sightings(sensor, config.keyframe.memory)
         self.dynamics = Dynamics(config.dynamics, sensor)
@@ -82,7 +85,7 @@ class World:
 
     def add(
         self, cloud: PreprocessedScan, stamp: int, found: Located, dynamic: F32, image: RangeImage
-    ) -> Keyframe | None:  # fmt: skip
+    ) -> Keyframe | None:
         """Add what stands still in a scan; take off the map what the scan shows to be gone.
 
         By a tentative pose later scans are judged, but it enters neither the map nor the past in
@@ -130,7 +133,7 @@ class World:
 
     def _remember(
         self, cloud: PreprocessedScan, pose: F64, stamp: int, image: RangeImage, still: Mask
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Erase what an image shows to be gone; let movers of later scans be told by it."""
         if self._config.dynamics.enabled:
             gone = self.dynamics.vanished(image)

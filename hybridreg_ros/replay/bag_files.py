@@ -121,8 +121,11 @@ class McapFile:
             return self._scan('')
         self._indexed = bool(summary.chunk_indexes)
         for channel in summary.channels.values():
-            self._note(summary.schemas.get(channel.schema_id), channel,
-                       summary.statistics.channel_message_counts.get(channel.id, 0))  # fmt: skip
+            self._note(
+                summary.schemas.get(channel.schema_id),
+                channel,
+                summary.statistics.channel_message_counts.get(channel.id, 0),
+            )
         return None
 
     def _scan(self, why: str) -> None:

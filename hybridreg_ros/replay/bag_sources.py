@@ -168,12 +168,18 @@ def _metadata(path: Path) -> dict[str, Any]:
         paths = [str(name) for name in about['relative_file_paths']]
         mode = str(about.get('compression_mode') or '')
     except (yaml.YAMLError, RecursionError, *DAMAGE) as error:
-        logger.warning('%s/%s cannot be used (%s): read without it', path, METADATA,
-                       one_line(error))  # fmt: skip
+        logger.warning(
+            '%s/%s cannot be used (%s): read without it', path, METADATA, one_line(error)
+        )
         return {}
     if version > NEWEST_METADATA and not mode:
-        logger.warning('%s/%s has version %d, newer than %d: the files are read without it',
-                       path, METADATA, version, NEWEST_METADATA)  # fmt: skip
+        logger.warning(
+            '%s/%s has version %d, newer than %d: the files are read without it',
+            path,
+            METADATA,
+            version,
+            NEWEST_METADATA,
+        )
         return {}
     if version > NEWEST_METADATA:
         raise BagError(

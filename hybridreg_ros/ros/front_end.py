@@ -69,8 +69,10 @@ def build_front_end(
             text, has_weights = str(error), False
     filled = jit.is_filled()
     if not filled:
-        say('compiling kernels, once after an installation or update (about a minute; '
-            '`hybridreg warm-up` does it beforehand)')  # fmt: skip
+        say(
+            'compiling kernels, once after an installation or update (about a minute; '
+            '`hybridreg warm-up` does it beforehand)'
+        )
     for step in warm_up(config, model):
         if not filled:
             say(f'compiling: {step}')

@@ -13,9 +13,15 @@ from hybridreg_ros.core.errors import ConfigError
 from hybridreg_ros.core.pointcloud2 import MOST_POINTS
 
 RESTART_ONLY = (
-    'weights', 'input_qos', 'input_qos_depth', 'base_frame', 'guess_frame', 'use_imu',
-    'extrinsic_source', 'extrinsic',
-)  # fmt: skip
+    'weights',
+    'input_qos',
+    'input_qos_depth',
+    'base_frame',
+    'guess_frame',
+    'use_imu',
+    'extrinsic_source',
+    'extrinsic',
+)
 """Fields that are read when the node starts; the parameter server refuses to change them."""
 RUNTIME = ('dynamics.threshold',)
 """Front-end parameters that the node itself applies; the others are read at the start."""

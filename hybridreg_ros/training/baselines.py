@@ -46,15 +46,23 @@ def fpfh(pair: PointPair) -> F64:
     v = pair.voxel_size_m
     open3d.utility.random.seed(0)
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
-    clouds, features = zip(*(_features(open3d, p, v) for p in (pair.source, pair.target)),
-                           strict=True)  # fmt: skip
+    clouds, features = zip(
+        *(_features(open3d, p, v) for p in (pair.source, pair.target)), strict=True
+    )
     r: Any = open3d.pipelines.registration
     found = r.registration_ransac_based_on_feature_matching(
-        *clouds, *features, True, 1.5 * v, r.TransformationEstimationPointToPoint(False), 3,
-        [r.CorrespondenceCheckerBasedOnEdgeLength(0.9),
-         r.CorrespondenceCheckerBasedOnDistance(1.5 * v)],
+        *clouds,
+        *features,
+        True,
+        1.5 * v,
+        r.TransformationEstimationPointToPoint(False),
+        3,
+        [
+            r.CorrespondenceCheckerBasedOnEdgeLength(0.9),
+            r.CorrespondenceCheckerBasedOnDistance(1.5 * v),
+        ],
         r.RANSACConvergenceCriteria(RANSAC_ITERATIONS, RANSAC_CONFIDENCE),
-    )  # fmt: skip
+    )
     return np.array(found.transformation, dtype=np.float64)
 
 

@@ -273,9 +273,10 @@ class TrainConfig:
     workers: int = option(1, 'number of prefetching processes per trainer', low=0, high=64)
     device: str = option('cpu', 'torch device of the trainer')
     precision: str = option(
-        'float32', 'of the matrix products of the encoder; bf16 is for GPUs',
+        'float32',
+        'of the matrix products of the encoder; bf16 is for GPUs',
         choices=('float32', 'bf16'),
-    )  # fmt: skip
+    )
     validate_every: int = option(600, 'number of steps between validations', low=1)
     validation_pairs: int = option(72, 'number of validation pairs used', low=1)
     checkpoint_minutes: float = option(3.0, 'time between checkpoints', low=0.0)

@@ -95,9 +95,10 @@ class Filler:
         shares = dict(zip(config.kinds, config.shares or (1.0,) * len(config.kinds), strict=True))
         while True:
             open_kinds = [
-                kind for kind in config.kinds
+                kind
+                for kind in config.kinds
                 if shares[kind] > 0.0 and made.seeds.get(kind, config.first_seed) < last
-            ]  # fmt: skip
+            ]
             if not open_kinds:
                 return
             self._wait_for_room()

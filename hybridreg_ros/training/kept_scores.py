@@ -61,6 +61,7 @@ class KeptScores:
         """The score of a pair; None when there is none, or when the pair was another then."""
         score = self._scores.get(pair.name)
         same = score is not None and (score.overlap, score.dynamic_share) == (
-            float(pair.overlap), float(pair.dynamic_share)
-        )  # fmt: skip
+            float(pair.overlap),
+            float(pair.dynamic_share),
+        )
         return score if same else None

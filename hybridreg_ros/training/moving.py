@@ -81,11 +81,13 @@ class Tally:
         away = np.linalg.norm(points, axis=1)
         inside = (away >= RANGE_M[0]) & (away <= RANGE_M[1])
         near = (away >= PEOPLE_RANGE_M[0]) & (away <= PEOPLE_RANGE_M[1])
-        for row, chosen in enumerate((
-            inside & (label == Label.STATIC),
-            inside & (label != Label.STATIC),
-            near & (label == Label.DEFORMING),
-        )):  # fmt: skip
+        for row, chosen in enumerate(
+            (
+                inside & (label == Label.STATIC),
+                inside & (label != Label.STATIC),
+                near & (label == Label.DEFORMING),
+            )
+        ):
             self.counts[row] += np.bincount(bins[chosen], minlength=_BINS)
 
     @property
@@ -164,11 +166,21 @@ def score_moving(
         result = model.match(source, target)
         own, other = _network_uncertainty(model, source, target)
         for cloud, label, known, network, final in (
-            (pair.source, pair.source_label, labelled.source_known, own,
-             result.source_uncertainty),
-            (pair.target, pair.target_label, labelled.target_known, other,
-             result.target_uncertainty),
-        ):  # fmt: skip
+            (
+                pair.source,
+                pair.source_label,
+                labelled.source_known,
+                own,
+                result.source_uncertainty,
+            ),
+            (
+                pair.target,
+                pair.target_label,
+                labelled.target_known,
+                other,
+                result.target_uncertainty,
+            ),
+        ):
             score.network.add(network[known], cloud[known], label[known])
             score.result.add(final[known], cloud[known], label[known])
         score.pairs += 1

@@ -16,9 +16,21 @@ from hybridreg_ros.cli.arguments import build_parser
 from hybridreg_ros.cli.main import main
 
 COMMANDS = (
-    'register', 'convert', 'simulate', 'replay', 'score', 'generate', 'train', 'evaluate',
-    'ship', 'bench', 'dump-config', 'warm-up', 'echo', 'demo',
-)  # fmt: skip
+    'register',
+    'convert',
+    'simulate',
+    'replay',
+    'score',
+    'generate',
+    'train',
+    'evaluate',
+    'ship',
+    'bench',
+    'dump-config',
+    'warm-up',
+    'echo',
+    'demo',
+)
 
 
 def test_help_is_immediate() -> None:
@@ -36,8 +48,11 @@ def test_help_is_immediate() -> None:
         assert all(f'    {name}' in done.stdout for name in COMMANDS)
     assert min(times) < 0.2, times
     started = time.perf_counter()
-    subprocess.run([sys.executable, '-m', 'hybridreg_ros.cli.main', '-h'], check=True,
-                   stdout=subprocess.DEVNULL)  # fmt: skip
+    subprocess.run(
+        [sys.executable, '-m', 'hybridreg_ros.cli.main', '-h'],
+        check=True,
+        stdout=subprocess.DEVNULL,
+    )
     assert time.perf_counter() - started < 3.0
 
 

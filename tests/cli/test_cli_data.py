@@ -54,8 +54,10 @@ def test_all_splits_are_made_by_one_command(
     assert len(set(seeds.values())) == len(SPLITS)
     assert all(6_000_000 <= seed < 9_000_000 for seed in seeds.values())
     assert [s['split'] for s in json.loads((tmp_path / 's.json').read_text())] == list(SPLITS)
-    assert main(['generate', 'street-match-rigid', '--part', 'val', '--out',
-                 str(tmp_path / 'v')]) == 0  # fmt: skip
+    assert (
+        main(['generate', 'street-match-rigid', '--part', 'val', '--out', str(tmp_path / 'v')])
+        == 0
+    )
     assert len(open_split(tmp_path / 'v')) == 100
     capsys.readouterr()
     assert 'leave --seed out' in last_error(capsys, [*arguments, '--seed', '4'])

@@ -128,10 +128,23 @@ def test_generate_evaluate_train(
     data = tmp_path / 'data'
     arguments = ['generate', 'room-match-10-30', '--pairs', '3', '--seed', '40']
     assert main([*arguments, '--out', str(data)]) == 0
-    assert main(
-        ['evaluate', str(data), '--weights', str(weights), '--limit', '2',
-         '--json', str(tmp_path / 'e.json'), '--markdown', str(tmp_path / 'e.md')]
-    ) == 0  # fmt: skip
+    assert (
+        main(
+            [
+                'evaluate',
+                str(data),
+                '--weights',
+                str(weights),
+                '--limit',
+                '2',
+                '--json',
+                str(tmp_path / 'e.json'),
+                '--markdown',
+                str(tmp_path / 'e.md'),
+            ]
+        )
+        == 0
+    )
     result = json.loads((tmp_path / 'e.json').read_text())
     assert len(result['scores']) == 2
     assert '| RR %' in (tmp_path / 'e.md').read_text()

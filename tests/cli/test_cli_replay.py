@@ -239,9 +239,12 @@ def test_nothing_usable_is_a_failure(tmp_path: Path, capsys: pytest.CaptureFixtu
     for name, cloud, text in (
         ('cut', CloudData(**{**vars(good), 'data': good.data[:99]}), '3 x truncated data'),
         ('empty', from_arrays(np.zeros((0, 3), np.float32)), '3 x too_few_points'),
-        ('mm', from_arrays(1000.0 * np.random.default_rng(0).normal(size=(3000, 3)) * 5),
-         '3 x too_few_points'),
-    ):  # fmt: skip
+        (
+            'mm',
+            from_arrays(1000.0 * np.random.default_rng(0).normal(size=(3000, 3)) * 5),
+            '3 x too_few_points',
+        ),
+    ):
         with BagWriter(tmp_path / f'{name}.mcap') as bag:
             for i in range(3):
                 bag.write_cloud('/points', START + i * PERIOD, 'lidar', cloud)

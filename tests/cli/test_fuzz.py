@@ -20,6 +20,8 @@ def test_damaged_files_are_read_or_refused_in_one_line(seed: int) -> None:
     """In a process of its own: the script limits memory and uses a signal."""
     done = subprocess.run(
         [sys.executable, str(SCRIPT), '--files', '1000', '--seed', str(seed)],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stdout + done.stderr

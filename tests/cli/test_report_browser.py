@@ -24,10 +24,18 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason='Chromium is not installed'),
 ]
 FLAGS = (
-    '--headless', '--no-sandbox', '--disable-gpu', '--disable-quic', '--no-first-run',
-    '--disable-background-networking', '--disable-component-update', '--disable-sync',
-    '--hide-scrollbars', '--enable-logging=stderr', '--v=0',
-)  # fmt: skip
+    '--headless',
+    '--no-sandbox',
+    '--disable-gpu',
+    '--disable-quic',
+    '--no-first-run',
+    '--disable-background-networking',
+    '--disable-component-update',
+    '--disable-sync',
+    '--hide-scrollbars',
+    '--enable-logging=stderr',
+    '--v=0',
+)
 
 
 @pytest.fixture(scope='module')

@@ -102,8 +102,11 @@ def test_a_file_written_again_or_elsewhere_is_not_taken_for_compiled(tmp_path):
     ask = 'from hybridreg_ros.core import jit; print(jit.is_filled())'
     fill = 'from hybridreg_ros.core import jit; jit.mark_filled()'
     for name, code, expected in (
-        ('one', ask, 'False'), ('one', fill, ''), ('one', ask, 'True'), ('two', ask, 'False')
-    ):  # fmt: skip
+        ('one', ask, 'False'),
+        ('one', fill, ''),
+        ('one', ask, 'True'),
+        ('two', ask, 'False'),
+    ):
         assert run(tmp_path / name, code) == expected
     os.utime(copies[0] / 'core' / 'eigen.py', (1.0, 1.0))
     assert run(tmp_path / 'one', ask) == 'False'

@@ -93,10 +93,14 @@ def check_labels(sample: Sample) -> LabelCheck:
     ratio = found.off[clear] / sigma[still][clear]
     carried, left, seen = _moving(sample, there, sigma)
     return LabelCheck(
-        _median(ratio), len(ratio), float((ratio > STRAY_SIGMAS).sum()) / max(len(ratio), 1),
+        _median(ratio),
+        len(ratio),
+        float((ratio > STRAY_SIGMAS).sum()) / max(len(ratio), 1),
         float(near.sum()) / max(int(sample.truth.seen.sum()), 1),
-        _median(carried), _median(left), len(left) / max(seen, 1),
-    )  # fmt: skip
+        _median(carried),
+        _median(left),
+        len(left) / max(seen, 1),
+    )
 
 
 def _moving(sample: Sample, there: F64, sigma: F64) -> tuple[F64, F64, int]:

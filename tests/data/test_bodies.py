@@ -118,8 +118,10 @@ def volume_m3(part: Part) -> float:
 
 def test_skins_are_closed_and_face_outwards():
     skin = human_rig(rng(7), load=False).skin
-    edges = np.sort(np.concatenate([skin.faces[:, [0, 1]], skin.faces[:, [1, 2]],
-                                    skin.faces[:, [2, 0]]]), axis=1)  # fmt: skip
+    edges = np.sort(
+        np.concatenate([skin.faces[:, [0, 1]], skin.faces[:, [1, 2]], skin.faces[:, [2, 0]]]),
+        axis=1,
+    )
     _, count = np.unique(edges, axis=0, return_counts=True)
     assert (count == 2).all()
     assert 0.02 < abs(volume_m3(skin)) < 0.3
@@ -142,8 +144,9 @@ def test_limbs_keep_within_joint_limits():
 
 def test_a_walker_follows_its_track_at_its_speed_and_the_ground():
     track = straight_track(np.array([0.0, 0.0]), 0.0)
-    human = movers.make_human(rng(1), ORIGIN, activity='walk', track=track, speed_mps=1.5,
-                              ground=lambda x, y: 0.1 * x)  # fmt: skip
+    human = movers.make_human(
+        rng(1), ORIGIN, activity='walk', track=track, speed_mps=1.5, ground=lambda x, y: 0.1 * x
+    )
     a, b = human.mesh_at(0.0).vertices, human.mesh_at(4.0).vertices
     assert abs((b - a)[:, 0].mean() - 6.0) < 0.2
     assert abs(b[:, 2].min() - 0.6) < 0.15

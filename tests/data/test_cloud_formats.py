@@ -117,35 +117,37 @@ def test_bad_clouds(tmp_path: Path) -> None:
         'a.ply': (b'play', 'expected it to begin with "ply"'),
         'b.ply': (b'ply\nformat ascii 1.0\n', 'no end_header line: expected'),
         'c.ply': (
-            b'ply\nformat ascii 1.0\nelement face 1\nend_header\n', 'expected an element vertex'
+            b'ply\nformat ascii 1.0\nelement face 1\nend_header\n',
+            'expected an element vertex',
         ),
         'e.ply': (b'ply\nformat 7\nend_header\n', "expected format ascii, .* found '7'"),
         'f.ply': (b'ply\nelement vertex\nend_header\n', "not understood: 'element vertex'"),
         'g.ply': (b'ply\nelement vertex x\nend_header\n', 'expected a number of points'),
         'h.ply': (
-            b'ply\nelement vertex 1\nproperty half x\nend_header\n', 'expected a property type'
+            b'ply\nelement vertex 1\nproperty half x\nend_header\n',
+            'expected a property type',
         ),
         'i.ply': (
             b'ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n'
-            b'property float z\nend_header\n1 2\n', 'point 0: expected 3 numbers',
+            b'property float z\nend_header\n1 2\n',
+            'point 0: expected 3 numbers',
         ),
         'c.pcd': (b'#\nSIZE 4\nDATA binary\n', 'its header has no FIELDS'),
         'd.pcd': (
             b'FIELDS x y z\nTYPE F F G\nSIZE 4 4 4\nPOINTS 0\nDATA binary\n',
             'expected TYPE F, I or U .* found G4',
         ),
-        'e.pcd': (
-            b'FIELDS x y z\nTYPE F F\nSIZE 4 4 4\nPOINTS 0\nDATA binary\n', 'found 2 and 3'
-        ),
+        'e.pcd': (b'FIELDS x y z\nTYPE F F\nSIZE 4 4 4\nPOINTS 0\nDATA binary\n', 'found 2 and 3'),
         'f.pcd': (b'FIELDS x y z\nPOINTS -1\nDATA ascii\n', 'POINTS: expected a number'),
         'g.pcd': (b'FIELDS x y z\nCOUNT 1\nPOINTS 1\nDATA ascii\n', 'expected COUNT of 3 fields'),
         'd.ply': (
             b'ply\nformat binary_little_endian 1.0\nelement vertex 0\nproperty float x\n'
-            b'end_header\n', 'no field y, z; found x',
+            b'end_header\n',
+            'no field y, z; found x',
         ),
         'a.pcd': (b'VERSION 0.7\n', 'no DATA line'),
         'b.pcd': (b'FIELDS x\nSIZE 4\nTYPE F\nPOINTS 0\nDATA packed\n', 'unknown DATA packed'),
-    }  # fmt: skip
+    }
     for name, (data, text) in cases.items():
         (tmp_path / name).write_bytes(data)
         with pytest.raises(FileFormatError, match=text):
@@ -198,8 +200,9 @@ def test_ply_whose_first_element_is_not_the_vertices(
     else:
         long = np.arange(4, dtype=f'{order}i4').tobytes()
         data = b'\x03' + long[:12] + b'\x04' + long if lists else b'\x00\x01\x00\x02'
-        table = np.zeros(5, [('x', f'{order}f4'), ('y', f'{order}f4'), ('l', 'u2'),
-                             ('z', f'{order}f4')])  # fmt: skip
+        table = np.zeros(
+            5, [('x', f'{order}f4'), ('y', f'{order}f4'), ('l', 'u2'), ('z', f'{order}f4')]
+        )
         table['x'], table['y'], table['z'] = points.T
         data += table.tobytes()
     path = tmp_path / 'a.ply'
@@ -226,8 +229,9 @@ def test_pcd_in_small_letters_with_doubled_fields(tmp_path: Path, kind: str) -> 
 
 
 @pytest.mark.parametrize(
-    'name', ['a.npy', 'a.ply', 'b.ply', 'a.pcd', 'b.pcd'],
-)  # fmt: skip
+    'name',
+    ['a.npy', 'a.ply', 'b.ply', 'a.pcd', 'b.pcd'],
+)
 def test_what_follows_the_last_point_is_told(
     tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -241,7 +245,8 @@ def test_what_follows_the_last_point_is_told(
         kind = 'ascii' if name[0] == 'a' else 'binary_little_endian'
         write_ply(path, cloud(10), kind)
         data = path.read_bytes().replace(
-            b'element face 1\nproperty list uchar int vertex_indices\n', b'')  # fmt: skip
+            b'element face 1\nproperty list uchar int vertex_indices\n', b''
+        )
         path.write_bytes(data[: -8 if kind == 'ascii' else -13])
     assert len(read_cloud(path)) == 10
     assert caplog.text == ''

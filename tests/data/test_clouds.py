@@ -63,8 +63,10 @@ def test_clouds_written_by_open3d_are_read(tmp_path, mode):
 
 
 def test_ply_with_other_properties_and_big_endian(tmp_path):
-    head = ('ply\nformat binary_big_endian 1.0\nelement vertex 2\nproperty uchar red\n'
-            'property double x\nproperty double z\nproperty float y\nend_header\n')  # fmt: skip
+    head = (
+        'ply\nformat binary_big_endian 1.0\nelement vertex 2\nproperty uchar red\n'
+        'property double x\nproperty double z\nproperty float y\nend_header\n'
+    )
     body = b''.join(struct.pack('>Bddf', 9, k, k + 0.25, -k) for k in (1.0, 2.0))
     path = tmp_path / 'cloud.ply'
     path.write_bytes(head.encode() + body)

@@ -33,8 +33,14 @@ FLOOR = box((200.0, 200.0, 1.0), (0.0, 0.0, -2.0))
 
 
 def clean(model='even16', columns=180, **changes):
-    perfect = {'noise_m': 0.0, 'ring_bias_m': 0.0, 'dropout': 0.0, 'edge_mix': 0.0, 'reach_m': 1e6,
-               'quantum_m': 1e-4}  # fmt: skip
+    perfect = {
+        'noise_m': 0.0,
+        'ring_bias_m': 0.0,
+        'dropout': 0.0,
+        'edge_mix': 0.0,
+        'reach_m': 1e6,
+        'quantum_m': 1e-4,
+    }
     return replace(make_lidar(model, columns=columns), **{**perfect, **changes})
 
 
@@ -134,8 +140,10 @@ def test_many_small_movers_equal_one_cast_of_all():
 def test_dark_far_surfaces_and_glass_are_lost():
     caster = Caster(Scene(FLOOR))
     rng = np.random.default_rng(0)
-    share = [np.isfinite(clean(reach_m=r).scan(caster, 0.0, still, rng).points).mean()
-             for r in (5.0, 50.0, 1e6)]  # fmt: skip
+    share = [
+        np.isfinite(clean(reach_m=r).scan(caster, 0.0, still, rng).points).mean()
+        for r in (5.0, 50.0, 1e6)
+    ]
     assert share[0] < share[1] < share[2]
     glass = np.ones(len(FLOOR.faces), np.float32)
     assert np.isnan(clean().scan(caster, 0.0, still, rng, loss=glass).points).all()

@@ -178,8 +178,9 @@ def wall_depth(T_world_camera, shape=(48, 64), f=60.0):
 
 
 def camera_poses(count):
-    return [exp(np.array([0.05 * k, 0.0, 0.1 * k, 0.01 * k, 0.02 * k, 0.03 * k]))
-            for k in range(count)]  # fmt: skip
+    return [
+        exp(np.array([0.05 * k, 0.0, 0.1 * k, 0.01 * k, 0.02 * k, 0.03 * k])) for k in range(count)
+    ]
 
 
 def write_depth(path, depth_m, units):
@@ -207,8 +208,12 @@ def test_sevenscenes_frames_lie_on_the_wall(tmp_path):
 
 def quaternion(R):
     w = 0.5 * np.sqrt(1.0 + np.trace(R))
-    return [(R[2, 1] - R[1, 2]) / (4 * w), (R[0, 2] - R[2, 0]) / (4 * w),
-            (R[1, 0] - R[0, 1]) / (4 * w), w]  # fmt: skip
+    return [
+        (R[2, 1] - R[1, 2]) / (4 * w),
+        (R[0, 2] - R[2, 0]) / (4 * w),
+        (R[1, 0] - R[0, 1]) / (4 * w),
+        w,
+    ]
 
 
 def test_tum_associates_depth_and_truth(tmp_path):

@@ -78,7 +78,9 @@ def test_occupied_cells_are_those_of_near_points(rng: np.random.Generator) -> No
 
 def test_limits_are_those_of_the_split() -> None:
     assert limits_of('street-lomatch-30-50') == {
-        'overlap': (0.1, 0.3), 'dynamic_share': (0.3, 0.5), 'displacement_m': (0.25,),
-    }  # fmt: skip
+        'overlap': (0.1, 0.3),
+        'dynamic_share': (0.3, 0.5),
+        'displacement_m': (0.25,),
+    }
     assert limits_of('room-match-rigid') == {'overlap': (0.3,)}
     assert limits_of('room-train') == {'displacement_m': (0.25,)}

@@ -36,8 +36,9 @@ def tiny(seed: int, count: int = 200, reach: float = 3.0) -> PointPair:
     (a, a_label, a_instance), (b, b_label, b_instance) = side(count), side(count + 17)
     T = np.eye(4)
     T[:3, 3] = rng.normal(size=3)
-    return PointPair(a, b, T, a_label, b_label, a_instance, b_instance, 0.4, 0.2, 0.05,
-                     f'tiny-{seed}', seed)  # fmt: skip
+    return PointPair(
+        a, b, T, a_label, b_label, a_instance, b_instance, 0.4, 0.2, 0.05, f'tiny-{seed}', seed
+    )
 
 
 def check_same(one: PointPair, two: PointPair, step: float = 0.001) -> None:
@@ -49,8 +50,12 @@ def check_same(one: PointPair, two: PointPair, step: float = 0.001) -> None:
             assert getattr(one, name).dtype == getattr(two, name).dtype
     np.testing.assert_array_equal(one.T_target_source, two.T_target_source)
     assert (one.overlap, one.dynamic_share, one.voxel_size_m, one.name, one.seed) == (
-        two.overlap, two.dynamic_share, two.voxel_size_m, two.name, two.seed,
-    )  # fmt: skip
+        two.overlap,
+        two.dynamic_share,
+        two.voxel_size_m,
+        two.name,
+        two.seed,
+    )
 
 
 def test_a_pair_survives_up_to_a_millimetre() -> None:
@@ -70,9 +75,11 @@ def test_encoding_again_changes_nothing() -> None:
 def test_an_empty_cloud_is_kept() -> None:
     pair = tiny(4)
     none = replace(
-        pair, source=pair.source[:0], source_label=pair.source_label[:0],
+        pair,
+        source=pair.source[:0],
+        source_label=pair.source_label[:0],
         source_instance=pair.source_instance[:0],
-    )  # fmt: skip
+    )
     check_same(decode_pair(encode_pair(none)), none)
 
 

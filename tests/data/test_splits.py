@@ -147,9 +147,13 @@ def test_the_official_layout(tmp_path: Path, scenes: list[int]) -> None:
     pair = tiny(10)
     folder = tmp_path / 'tiny-10'
     assert sorted(p.name for p in folder.iterdir()) == [
-        'ref.npy', 'ref_back_indices.json', 'ref_wo_anim.npy', 'relative_transform.npy',
-        'src.npy', 'src_back_indices.json',
-    ]  # fmt: skip
+        'ref.npy',
+        'ref_back_indices.json',
+        'ref_wo_anim.npy',
+        'relative_transform.npy',
+        'src.npy',
+        'src_back_indices.json',
+    ]
     pair = tiny(10, 60)
     np.testing.assert_array_equal(np.load(folder / 'src.npy'), pair.source)
     np.testing.assert_array_equal(np.load(folder / 'ref.npy'), pair.target)
@@ -184,8 +188,11 @@ def test_arguments_are_checked(tmp_path: Path, scenes: list[int]) -> None:
 
 def test_parts_do_not_share_scenes(tmp_path: Path, scenes: list[int]) -> None:
     assert [seed_range(s) for s in (0, 2_999_999, 3_000_000, 8_999_999)] == [
-        (0, 3_000_000), (0, 3_000_000), (3_000_000, 6_000_000), (6_000_000, 9_000_000),
-    ]  # fmt: skip
+        (0, 3_000_000),
+        (0, 3_000_000),
+        (3_000_000, 6_000_000),
+        (6_000_000, 9_000_000),
+    ]
     assert max(high for _, high in splits.SEED_RANGES.values()) == 9_000_000
     assert seed_range(9_000_000)[0] == 9_000_000
     with pytest.raises(HybridRegError, match='6 scenes from seed 2999994 gave 6 of 50 pairs'):
@@ -243,9 +250,21 @@ def test_dask_is_named_when_it_is_missing(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def _command(out: Path, workers: int) -> list[str]:
-    return [sys.executable, '-m', 'hybridreg_ros.cli.main', 'generate', 'room-match-rigid',
-            '--pairs', '18', '--seed', '8995000', '--out', str(out), '--workers',
-            str(workers)]  # fmt: skip
+    return [
+        sys.executable,
+        '-m',
+        'hybridreg_ros.cli.main',
+        'generate',
+        'room-match-rigid',
+        '--pairs',
+        '18',
+        '--seed',
+        '8995000',
+        '--out',
+        str(out),
+        '--workers',
+        str(workers),
+    ]
 
 
 @pytest.mark.slow

@@ -78,8 +78,9 @@ def test_companions_stay_in_their_window(world):
 
 
 def test_two_streets_differ_and_one_seed_repeats():
-    made = [make_street(np.random.default_rng(s), 'park', (0.0, 0.0), travel_m=1.0)
-            for s in (1, 1, 2)]  # fmt: skip
+    made = [
+        make_street(np.random.default_rng(s), 'park', (0.0, 0.0), travel_m=1.0) for s in (1, 1, 2)
+    ]
     assert np.array_equal(made[0].scene.static.vertices, made[1].scene.static.vertices)
     assert len(made[0].scene.static.faces) != len(made[2].scene.static.faces)
     assert made[0].scene.movers == ()

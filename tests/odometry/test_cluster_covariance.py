@@ -38,9 +38,17 @@ def _world(errors: np.ndarray, seed: int = 0) -> tuple:
     scales = np.full(len(points), SPREAD_M)
     ones = np.ones(len(points))
     H, _, _ = kernels.normal_equations(
-        points, ones, np.eye(3), np.zeros(3), surfaces.kind, surfaces.anchor, surfaces.normal,
-        surfaces.variance, scales, 1.0,
-    )  # fmt: skip
+        points,
+        ones,
+        np.eye(3),
+        np.zeros(3),
+        surfaces.kind,
+        surfaces.anchor,
+        surfaces.normal,
+        surfaces.variance,
+        scales,
+        1.0,
+    )
     return points, ones, np.eye(4), surfaces, scales, H, SIZE_M
 
 
@@ -52,9 +60,17 @@ def test_it_is_the_spread_of_poses_over_many_draws_of_the_parts() -> None:
         told.append(cluster_covariance(*world))
         points, ones, T, surfaces, scales, H, _ = world
         _, b, _ = kernels.normal_equations(
-            points, ones, T[:3, :3].copy(), T[:3, 3].copy(), surfaces.kind, surfaces.anchor,
-            surfaces.normal, surfaces.variance, scales, 1.0,
-        )  # fmt: skip
+            points,
+            ones,
+            T[:3, :3].copy(),
+            T[:3, 3].copy(),
+            surfaces.kind,
+            surfaces.anchor,
+            surfaces.normal,
+            surfaces.variance,
+            scales,
+            1.0,
+        )
         poses.append(np.linalg.solve(H, -b))
     found = np.mean(told, axis=0)
     true = np.cov(np.array(poses).T)

@@ -183,8 +183,10 @@ def test_confident_but_wrong_network_is_overruled(shift_m: float) -> None:
 def test_network_finds_the_keyframe_after_a_loss() -> None:
     way = walk(8)
     turned = [pose(-0.6, -0.2, 100.0 + 2.0 * k) for k in range(4)]
-    dark = [Scan(np.zeros((0, 3), np.float32), stamp=100.8 + 0.1 * k, frame_id='sensor')
-            for k in range(4)]  # fmt: skip
+    dark = [
+        Scan(np.zeros((0, 3), np.float32), stamp=100.8 + 0.1 * k, frame_id='sensor')
+        for k in range(4)
+    ]
     clouds = scans(way, RAYS) + dark + scans(turned, RAYS, start_s=101.2)
     registrar = NeighbourhoodRegistrar(turns_deg=(0.0, 60.0, 90.0, 120.0, 180.0, -90.0))
     config = OdometryConfig(lost=LostConfig(reanchor_after=100))
@@ -258,8 +260,15 @@ def test_everything_moving_is_not_believed() -> None:
         rays = rng.normal(size=(5000, 3))
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         points = (rays * rng.uniform(1.0, 8.0, (5000, 1))).astype(np.float32)
-        clouds.append(replace(clouds[3], points=points, rows=np.arange(5000), size=5000,
-                              stamp=clouds[3].stamp + (k + 1) * 100_000_000))  # fmt: skip
+        clouds.append(
+            replace(
+                clouds[3],
+                points=points,
+                rows=np.arange(5000),
+                size=5000,
+                stamp=clouds[3].stamp + (k + 1) * 100_000_000,
+            )
+        )
     odometry = HybridOdometry(model=None)
     results = [odometry.step(scan) for scan in clouds]
     assert all(r.confidence == 0.0 for r in results[4:])

@@ -333,8 +333,15 @@ def test_intake_rebases_only_on_a_steady_new_time_base() -> None:
         return intake.check(scan) is None or intake.rebased(scan)
 
     assert [taken(t) for t in (10.0, 10.1, 5000.0, 10.2, 5000.0, 7000.0, 7000.1, 7000.2)] == [
-        True, True, False, True, False, False, True, True,
-    ]  # fmt: skip
+        True,
+        True,
+        False,
+        True,
+        False,
+        False,
+        True,
+        True,
+    ]
     assert intake.refused[Reason.STAMP_JUMP] == 4
 
 

@@ -374,8 +374,11 @@ def test_odd_metadata(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
         with open_bag(tmp_path / 'bag') as bag:
             assert len(list(bag.scans())) == 3
         assert warning in caplog.text
-    metadata.write_text(whole.replace('version: 9', 'version: 12').replace(
-        "compression_mode: ''", 'compression_mode: FILE'))  # fmt: skip
+    metadata.write_text(
+        whole.replace('version: 9', 'version: 12').replace(
+            "compression_mode: ''", 'compression_mode: FILE'
+        )
+    )
     with pytest.raises(BagError, match='version 12, newer than 9, and its files are compressed'):
         open_bag(tmp_path / 'bag')
     metadata.write_text(whole.replace('bag.mcap', 'gone.mcap'))
@@ -396,7 +399,12 @@ def test_folders_of_other_files(tmp_path: Path) -> None:
         with pytest.raises(BagError, match=text):
             open_bag(folder)
     for chunked in (True, False):
-        write_mcap(tmp_path / 'r.mcap', [('/p', 1, b'1234')],
-                   ('sensor_msgs/PointCloud2', 'ros1msg', b''), 'ros1', chunked)  # fmt: skip
+        write_mcap(
+            tmp_path / 'r.mcap',
+            [('/p', 1, b'1234')],
+            ('sensor_msgs/PointCloud2', 'ros1msg', b''),
+            'ros1',
+            chunked,
+        )
         with pytest.raises(BagError, match='holds messages of ROS 1: convert it first'):
             open_bag(tmp_path / 'r.mcap')

@@ -33,11 +33,14 @@ def test_deskewed_points_lie_where_the_still_world_is(tmp_path: Path) -> None:
         for t, p in zip(times[k], world[k], strict=True)
     ]
     np.savez(
-        tmp_path / 'street_8301_none_3.npz', stamps=np.arange(count) * 100_000_000,
-        poses=np.array(poses), sizes=np.full(count, each),
-        points=np.array(measured, np.float32), moving=np.zeros(count * each, bool),
+        tmp_path / 'street_8301_none_3.npz',
+        stamps=np.arange(count) * 100_000_000,
+        poses=np.array(poses),
+        sizes=np.full(count, each),
+        points=np.array(measured, np.float32),
+        moving=np.zeros(count * each, bool),
         times=times.ravel(),
-    )  # fmt: skip
+    )
     plain = replace(SEQUENCES['dev-street-plain-8301'], frames=count)
     frames = suite_data.load(plain, tmp_path, tmp_path)
     as_measured = suite_data.load(replace(plain, deskewed=False), tmp_path, tmp_path)
@@ -52,10 +55,14 @@ def test_deskewed_points_lie_where_the_still_world_is(tmp_path: Path) -> None:
 
 def test_without_times_no_motion_can_be_undone(tmp_path: Path) -> None:
     np.savez(
-        tmp_path / 'street_8301_none_2.npz', stamps=np.arange(2) * 100_000_000,
-        poses=np.stack([np.eye(4)] * 2), sizes=np.full(2, 5), points=np.ones((10, 3), np.float32),
-        moving=np.zeros(10, bool), times=np.zeros(0),
-    )  # fmt: skip
+        tmp_path / 'street_8301_none_2.npz',
+        stamps=np.arange(2) * 100_000_000,
+        poses=np.stack([np.eye(4)] * 2),
+        sizes=np.full(2, 5),
+        points=np.ones((10, 3), np.float32),
+        moving=np.zeros(10, bool),
+        times=np.zeros(0),
+    )
     plain = replace(SEQUENCES['dev-street-plain-8301'], frames=2)
     with pytest.raises(FileFormatError, match='no times per point'):
         suite_data.load(plain, tmp_path, tmp_path)

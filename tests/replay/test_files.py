@@ -120,8 +120,10 @@ def test_stamps_in_other_units(
         pytest.skip('0 100 200 may be seconds')
     stamps_ns = [start * 10**9 + i * 100_000_000 for i in range(20)]
     per_unit = {'s': 10**9, 'ms': 10**6, 'us': 10**3, 'ns': 1}[unit]
-    texts = [f'{s // per_unit}.{s % per_unit:09d}' if unit == 's' else str(s // per_unit)
-             for s in stamps_ns]  # fmt: skip
+    texts = [
+        f'{s // per_unit}.{s % per_unit:09d}' if unit == 's' else str(s // per_unit)
+        for s in stamps_ns
+    ]
     (tmp_path / 'a.tum').write_text(''.join(f'{t} 0 0 0 0 0 0 1\n' for t in texts))
     assert io.read_trajectory(tmp_path / 'a.tum').stamps.tolist() == stamps_ns
     (tmp_path / 'times.txt').write_text('\n'.join(texts))

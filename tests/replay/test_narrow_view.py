@@ -21,10 +21,14 @@ def test_narrow_sequence_is_the_middle_of_the_wide_one(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     points = rng.uniform([-2.0, -2.0, 1.0], [2.0, 2.0, 5.0], (300, 3)).astype(np.float32)
     np.savez(
-        tmp_path / 'room_502_30-50_3.npz', stamps=np.arange(count) * 100_000_000,
-        poses=np.tile(np.eye(4), (count, 1, 1)), sizes=np.full(count, 100), points=points,
-        moving=rng.random(300) < 0.4, times=np.zeros(0),
-    )  # fmt: skip
+        tmp_path / 'room_502_30-50_3.npz',
+        stamps=np.arange(count) * 100_000_000,
+        poses=np.tile(np.eye(4), (count, 1, 1)),
+        sizes=np.full(count, 100),
+        points=points,
+        moving=rng.random(300) < 0.4,
+        times=np.zeros(0),
+    )
     narrow = replace(SEQUENCES['dev-narrow-502'], frames=count)
     wide = suite_data.load(replace(narrow, window=0.0), tmp_path, tmp_path)
     for frame, whole in zip(suite_data.load(narrow, tmp_path, tmp_path), wide, strict=True):

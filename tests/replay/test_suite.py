@@ -121,15 +121,38 @@ def test_rival_is_compared_at_the_instant_that_suits_it() -> None:
 def cell(name: str, method: str, ate_m: float, stride: int = 1, wrong: int = 0) -> dict[str, Any]:
     sequence = SEQUENCES[name]
     rows = [
-        {'source': 'kiss_icp', 'reason': 'ok', 'confidence': 0.9, 'points': 5, 'cpu_ms': 10.0,
-         'step_m': 0.01, 'step_deg': 0.1, 'step_right': k > wrong, 'pose_right': k > wrong,
-         'mask': [8, 2, 2, 88]}
+        {
+            'source': 'kiss_icp',
+            'reason': 'ok',
+            'confidence': 0.9,
+            'points': 5,
+            'cpu_ms': 10.0,
+            'step_m': 0.01,
+            'step_deg': 0.1,
+            'step_right': k > wrong,
+            'pose_right': k > wrong,
+            'mask': [8, 2, 2, 88],
+        }
         for k in range(11)
-    ]  # fmt: skip
-    scores = {'frames': 11, 'path_m': 10.0, 'ate_m': ate_m, 'ate_percent': 10.0 * ate_m,
-              'step_median_mm': 1.0, 'right_share': 1.0 - wrong / 10, 'lost': 0}  # fmt: skip
-    return {'version': 1, 'sequence': asdict(sequence), 'method': method, 'stride': stride,
-            'scores': scores, 'frames': rows, 'provenance': {}}  # fmt: skip
+    ]
+    scores = {
+        'frames': 11,
+        'path_m': 10.0,
+        'ate_m': ate_m,
+        'ate_percent': 10.0 * ate_m,
+        'step_median_mm': 1.0,
+        'right_share': 1.0 - wrong / 10,
+        'lost': 0,
+    }
+    return {
+        'version': 1,
+        'sequence': asdict(sequence),
+        'method': method,
+        'stride': stride,
+        'scores': scores,
+        'frames': rows,
+        'provenance': {},
+    }
 
 
 def test_table_has_every_row_with_figure_number_and_verdict() -> None:
@@ -297,13 +320,27 @@ def test_suite_command_keeps_cells_and_goes_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / 'suite'
-    command = ['replay', '--suite', 'rooms', '--sequences', 'room-00', '--frames', '4',
-               '--strides', '1', '2', '--out', str(out), '--methods']  # fmt: skip
+    command = [
+        'replay',
+        '--suite',
+        'rooms',
+        '--sequences',
+        'room-00',
+        '--frames',
+        '4',
+        '--strides',
+        '1',
+        '2',
+        '--out',
+        str(out),
+        '--methods',
+    ]
     assert main([*command, 'ours-no-network']) == 0
     cells = sorted((out / 'cells').iterdir())
     assert [p.name for p in cells] == [
-        'room-00__ours-no-network__1.json', 'room-00__ours-no-network__2.json'
-    ]  # fmt: skip
+        'room-00__ours-no-network__1.json',
+        'room-00__ours-no-network__2.json',
+    ]
     made = json.loads(cells[0].read_text())
     assert made['scores']['frames'] == 4
     assert made['frames'][1]['pose_right'] is True

@@ -39,9 +39,12 @@ def start(bag, *arguments: str, ros: tuple[str, ...] = ()) -> subprocess.Popen[s
     command = [sys.executable, '-m', 'hybridreg_ros.ros.playback.bag_player', str(bag), *arguments]
     environment = {**os.environ, **LOCALHOST, 'ROS_DOMAIN_ID': str(domain())}
     return subprocess.Popen(
-        [*command, '--ros-args', *ros], env=environment, text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-    )  # fmt: skip
+        [*command, '--ros-args', *ros],
+        env=environment,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    )
 
 
 def finish(process: subprocess.Popen[str], timeout_s: float = 120.0) -> tuple[int, str]:
@@ -72,9 +75,14 @@ def test_plays_every_message_in_order_with_clock(bag, listener):
     clock = collect(listener, '/clock', Clock)
     began = time.monotonic()
     process = start(
-        bag, '--wait', '--clock', '50', '--rate', '2',
+        bag,
+        '--wait',
+        '--clock',
+        '50',
+        '--rate',
+        '2',
         ros=('-r', f'__ns:={space}', '-r', 'lidar/points:=cloud'),
-    )  # fmt: skip
+    )
     code, output = finish(process)
     assert code == 0, output
     assert '/lidar/points 12' in output
@@ -92,9 +100,16 @@ def test_sensor_data_qos_is_offered(bag, listener):
     space = listener.node.get_namespace()
     clouds = collect(listener, 'lidar/points', PointCloud2, reliable=False)
     process = start(
-        bag, '--wait', '--qos', 'sensor_data', '--topics', '/lidar/points', '--duration', '0.55',
+        bag,
+        '--wait',
+        '--qos',
+        'sensor_data',
+        '--topics',
+        '/lidar/points',
+        '--duration',
+        '0.55',
         ros=('-r', f'__ns:={space}'),
-    )  # fmt: skip
+    )
     topic = f'{space}/lidar/points'
     infos = listener.wait(lambda: listener.node.get_publishers_info_by_topic(topic), 'the player')
     assert infos[0].qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
@@ -108,9 +123,12 @@ def test_lossless_into_the_node_with_a_short_queue(bag):
     with running('lossless', node_config=QUICK, queue_depth=2) as probe:
         space = probe.node.get_namespace()
         process = start(
-            bag, '--rate', '0', '--lossless',
+            bag,
+            '--rate',
+            '0',
+            '--lossless',
             ros=('-r', f'__ns:={space}', '-r', 'lidar/points:=points'),
-        )  # fmt: skip
+        )
         code, output = finish(process)
         assert code == 0, output
         probe.wait(lambda: len(probe.odometry) == 12, 'all odometry')

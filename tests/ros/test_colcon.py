@@ -15,9 +15,18 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 CONTENT = (
-    'package.xml', 'setup.py', 'setup.cfg', 'pyproject.toml', 'README.md', 'LICENSE',
-    'hybridreg_ros', 'resource', 'config', 'launch', 'rviz',
-)  # fmt: skip
+    'package.xml',
+    'setup.py',
+    'setup.cfg',
+    'pyproject.toml',
+    'README.md',
+    'LICENSE',
+    'hybridreg_ros',
+    'resource',
+    'config',
+    'launch',
+    'rviz',
+)
 
 pytestmark = [
     pytest.mark.ros,
@@ -33,9 +42,14 @@ def run(command: list[str], folder: Path, expected: int = 0) -> str:
     """Output of a command that must end with the expected code."""
     environment = {**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
     done = subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, check=False,
+        command,
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
         timeout=280,
-    )  # fmt: skip
+    )
     output = done.stdout + done.stderr
     assert done.returncode == expected, output
     return output
@@ -69,12 +83,16 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_files_are_where_ros_looks_for_them(workspace):
     base = workspace / 'install' / 'hybridreg_ros'
     for name in (
-        'share/hybridreg_ros/package.xml', 'share/hybridreg_ros/launch/odometry.launch.py',
-        'share/hybridreg_ros/launch/replay.launch.py', 'share/hybridreg_ros/rviz/odometry.rviz',
-        'share/hybridreg_ros/config/odometry.yaml', 'share/hybridreg_ros/config/node.yaml',
+        'share/hybridreg_ros/package.xml',
+        'share/hybridreg_ros/launch/odometry.launch.py',
+        'share/hybridreg_ros/launch/replay.launch.py',
+        'share/hybridreg_ros/rviz/odometry.rviz',
+        'share/hybridreg_ros/config/odometry.yaml',
+        'share/hybridreg_ros/config/node.yaml',
         'share/ament_index/resource_index/packages/hybridreg_ros',
-        'lib/hybridreg_ros/odometry_node', 'lib/hybridreg_ros/bag_player',
-    ):  # fmt: skip
+        'lib/hybridreg_ros/odometry_node',
+        'lib/hybridreg_ros/bag_player',
+    ):
         assert (base / name).is_file(), name
     assert list(base.rglob('ros/fastdds_shm.xml'))
 

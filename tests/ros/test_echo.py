@@ -30,8 +30,10 @@ def start(*arguments: str) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, '-m', 'hybridreg_ros.cli.main', 'echo', *arguments],
         env={**os.environ, **LOCALHOST, 'ROS_DOMAIN_ID': str(domain())},
-        text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    )  # fmt: skip
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
 
 
 def test_a_lost_pose_is_marked():

@@ -37,9 +37,14 @@ ROOT = Path(__file__).resolve().parents[2]
 def shell(text: str, folder: Path, environment: dict[str, str]) -> subprocess.Popen[str]:
     """A terminal with the environment's executables, in its own group."""
     return subprocess.Popen(
-        [shutil.which('bash') or 'sh', '-c', text], cwd=folder, env=environment, text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
-    )  # fmt: skip
+        [shutil.which('bash') or 'sh', '-c', text],
+        cwd=folder,
+        env=environment,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        start_new_session=True,
+    )
 
 
 def test_the_page_leads_to_odometry(tmp_path):
@@ -47,9 +52,12 @@ def test_the_page_leads_to_odometry(tmp_path):
     section = page[page.index('## First run') : page.index('## Use it')]
     node, player = re.findall(r'```\n(.*?)```', section, re.DOTALL)
     environment = {
-        **os.environ, **LOCALHOST, 'ROS_DOMAIN_ID': str(domain()), 'PYTHONPATH': str(ROOT),
+        **os.environ,
+        **LOCALHOST,
+        'ROS_DOMAIN_ID': str(domain()),
+        'PYTHONPATH': str(ROOT),
         'PATH': f'{Path(sys.executable).parent}:{os.environ["PATH"]}',
-    }  # fmt: skip
+    }
     shells = [shell(node, tmp_path, environment), shell(player, tmp_path, environment)]
     try:
         assert shells[1].stdout is not None

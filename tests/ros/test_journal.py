@@ -57,8 +57,10 @@ def test_what_comes_too_often_is_counted(journal):
     journal.seconds[0] = PERIOD_S
     journal.warn('bad_cloud', 'again')
     assert journal.lines == [
-        'W bad_cloud: 0', 'W lost: other', 'W bad_cloud: again (and 3 more of this kind)',
-    ]  # fmt: skip
+        'W bad_cloud: 0',
+        'W lost: other',
+        'W bad_cloud: again (and 3 more of this kind)',
+    ]
 
 
 def test_the_library_and_python_speak_through_it(journal, capfd):

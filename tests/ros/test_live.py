@@ -41,9 +41,15 @@ def test_every_frame_comes_back_and_equals_the_offline_run(bag):
     static: list[Any] = []
     frames: list[Any] = []
     report = run_live(
-        bag, '/lidar/points', KISS, odom.append, dynamic.append, static.append, frames.append,
+        bag,
+        '/lidar/points',
+        KISS,
+        odom.append,
+        dynamic.append,
+        static.append,
+        frames.append,
         domain_id=domain(),
-    )  # fmt: skip
+    )
     expected = offline(bag)
     assert report.sent == report.received_odom == len(odom) == len(expected) == 12
     assert report.received_dynamic == report.received_static == 12

@@ -34,10 +34,16 @@ def random_covariance(rng: np.random.Generator) -> np.ndarray:
 def result_of(pose: np.ndarray, covariance: np.ndarray, source: Source) -> OdometryResult:
     scan = Scan(np.zeros((3, 3), np.float32), stamp=1_234_567_890_123_456_789, frame_id='lidar')
     return OdometryResult(
-        scan=scan, pose=pose, covariance=covariance, twist=np.arange(6.0) / 10.0,
-        twist_covariance=2.0 * covariance, source=source, reason=Reason.OK, confidence=0.9,
+        scan=scan,
+        pose=pose,
+        covariance=covariance,
+        twist=np.arange(6.0) / 10.0,
+        twist_covariance=2.0 * covariance,
+        source=source,
+        reason=Reason.OK,
+        confidence=0.9,
         dynamic_probability=np.zeros(3, np.float32),
-    )  # fmt: skip
+    )
 
 
 def test_stamps_keep_every_nanosecond():

@@ -35,20 +35,37 @@ from hybridreg_ros.ros.worker import Arrival, Worker
 pytestmark = pytest.mark.ros
 
 SETTING = Setting(
-    name='hybridreg: odometry', hardware_id='/points', weights='packaged', has_weights=True,
-    transport='shared memory', transport_warning=False, input_timeout_s=60.0, paused=False,
+    name='hybridreg: odometry',
+    hardware_id='/points',
+    weights='packaged',
+    has_weights=True,
+    transport='shared memory',
+    transport_warning=False,
+    input_timeout_s=60.0,
+    paused=False,
     starting='',
-    waiting_for='', guides={}, rivals=0, queue=0, tf='on',
-)  # fmt: skip
+    waiting_for='',
+    guides={},
+    rivals=0,
+    queue=0,
+    tf='on',
+)
 
 
 def result(source: Source, reason: Reason = Reason.OK, stamp: int = 10**9) -> OdometryResult:
     scan = Scan(np.zeros((2, 3), np.float32), stamp=stamp, size=5)
     return OdometryResult(
-        scan=scan, pose=np.eye(4), covariance=np.eye(6), twist=np.zeros(6),
-        twist_covariance=np.eye(6), source=source, reason=reason, confidence=0.75,
-        dynamic_probability=np.zeros(2, np.float32), timings_s={'match': 0.02},
-    )  # fmt: skip
+        scan=scan,
+        pose=np.eye(4),
+        covariance=np.eye(6),
+        twist=np.zeros(6),
+        twist_covariance=np.eye(6),
+        source=source,
+        reason=reason,
+        confidence=0.75,
+        dynamic_probability=np.zeros(2, np.float32),
+        timings_s={'match': 0.02},
+    )
 
 
 def values(found: DiagnosticStatus) -> dict[str, str]:

@@ -119,9 +119,13 @@ def test_losses_of_the_default_transport_are_counted():
         '40',
     ]
     done = subprocess.run(
-        [*command, '--registrar', 'kiss-icp'], env={**environment, 'HYBRIDREG_FASTDDS': 'off'},
-        capture_output=True, text=True, timeout=200, check=False,
-    )  # fmt: skip
+        [*command, '--registrar', 'kiss-icp'],
+        env={**environment, 'HYBRIDREG_FASTDDS': 'off'},
+        capture_output=True,
+        text=True,
+        timeout=200,
+        check=False,
+    )
     assert done.returncode == 1, done.stderr
     assert "'lost_in_transport': " in done.stderr
 

@@ -31,8 +31,11 @@ def start(*arguments: str, **environment: str) -> subprocess.CompletedProcess[st
     return subprocess.run(
         [sys.executable, '-m', 'hybridreg_ros.ros.odometry_node', '--ros-args', *arguments],
         env={**os.environ, **LOCALHOST, 'ROS_DOMAIN_ID': str(domain()), **environment},
-        capture_output=True, text=True, timeout=60, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
 
 
 @pytest.mark.parametrize(

@@ -34,8 +34,10 @@ def busy(text: str) -> subprocess.Popen[str]:
     """A process that runs a program with the signals waited for, once it said that it is there."""
     process = subprocess.Popen(
         [sys.executable, '-c', _HEAD + text],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
     assert process.stdout is not None
     assert process.stdout.readline() == 'there\n'
     return process
@@ -73,8 +75,11 @@ def test_a_process_in_the_background_of_a_script_ends_too():
     script = '"$0" -c "$1" & sleep 2; kill -INT $!; wait $!; echo $?'
     done = subprocess.run(
         ['sh', '-c', script, sys.executable, code],
-        capture_output=True, text=True, timeout=HANG_S, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=HANG_S,
+        check=False,
+    )
     assert (done.stdout, done.stderr) == ('there\n0\n', '')
 
 
@@ -92,8 +97,10 @@ def test_while_the_node_loads(delay_s, signals):
     process = subprocess.Popen(
         [sys.executable, '-m', 'hybridreg_ros.ros.odometry_node'],
         env={**os.environ, **LOCALHOST, 'ROS_DOMAIN_ID': str(domain())},
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
     while not waits_for_signals(process.pid):
         time.sleep(0.001)
     time.sleep(delay_s)

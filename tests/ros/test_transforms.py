@@ -79,11 +79,12 @@ def test_waits_for_the_extrinsic_then_follows_it(probe):
     static.publish(
         TFMessage(
             transforms=[
-                edge('base_tf_test', 'mount', T_BASE_MOUNT), edge('mount', FRAME, T_MOUNT_LIDAR),
+                edge('base_tf_test', 'mount', T_BASE_MOUNT),
+                edge('mount', FRAME, T_MOUNT_LIDAR),
                 loop,
             ]
         )
-    )  # fmt: skip
+    )
     probe.send(cloud(room(), stamp()))
     probe.wait(lambda: probe.send(cloud(room(), stamp())) or probe.odometry, 'odometry')
     probe.call('reset')
@@ -156,9 +157,11 @@ def test_base_frame_by_parameter():
     T = T_BASE_MOUNT
     numbers = (*map(float, T[:3, 3]), *map(float, to_quaternion(T[:3, :3])))
     settings: dict[str, Any] = {
-        'base_frame': 'base_p', 'odom_frame': 'odom_p', 'extrinsic_source': 'parameter',
+        'base_frame': 'base_p',
+        'odom_frame': 'odom_p',
+        'extrinsic_source': 'parameter',
         'extrinsic': numbers,
-    }  # fmt: skip
+    }
     with running('tf_parameter', **settings) as probe:
         for k in range(4):
             pose = from_pose(probe.answer(cloud(room(0.1 * k), stamp())).pose.pose)

@@ -150,9 +150,10 @@ def test_calibration_separates_right_from_wrong():
     assert fitted.weights[feature_names().index('trust')] == 0.0
     assert fitted.weights[intrusion] == 0.0
     sure = [
-        s for s in scores
+        s
+        for s in scores
         if np.dot(fitted.weights, s.features) + fitted.bias > np.log(GATE / (1.0 - GATE))
-    ]  # fmt: skip
+    ]
     assert len(sure) > 10
     assert np.mean([s.right for s in sure]) > 0.95
     with pytest.raises(ValueError, match='right and wrong'):

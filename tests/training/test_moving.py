@@ -41,8 +41,10 @@ def test_points_count_by_label_and_distance():
     away = np.array([0.5, 3.0, 10.0, 40.0, 60.0], np.float32)
     points = np.stack([away, np.zeros(5), np.zeros(5)], axis=1).astype(np.float32)
     for label, expected in (
-        (Label.STATIC, [3, 0, 0]), (Label.MOVING_RIGID, [0, 3, 0]), (Label.DEFORMING, [0, 3, 1]),
-    ):  # fmt: skip
+        (Label.STATIC, [3, 0, 0]),
+        (Label.MOVING_RIGID, [0, 3, 0]),
+        (Label.DEFORMING, [0, 3, 1]),
+    ):
         tally = Tally()
         tally.add(np.linspace(0.0, 1.0, 5, dtype=np.float32), points, np.full(5, label, np.uint8))
         assert tally.counts.sum(axis=1).tolist() == expected
@@ -70,10 +72,23 @@ def test_a_folder_gives_one_row(generated):
 
 def test_the_command_prints_the_table(generated, tiny_weights, tmp_path, capsys):
     out = tmp_path / 'rows.json'
-    code = main([
-        'evaluate', '--moving', str(generated), '--weights', str(tiny_weights), '--limit', '2',
-        '--max-points', '300', '--json', str(out), '--markdown', str(tmp_path / 'table.md'),
-    ])  # fmt: skip
+    code = main(
+        [
+            'evaluate',
+            '--moving',
+            str(generated),
+            '--weights',
+            str(tiny_weights),
+            '--limit',
+            '2',
+            '--max-points',
+            '300',
+            '--json',
+            str(out),
+            '--markdown',
+            str(tmp_path / 'table.md'),
+        ]
+    )
     assert code == 0
     table = capsys.readouterr().out
     assert '| boxes | 2 |' in table

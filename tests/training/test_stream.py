@@ -136,9 +136,10 @@ def test_readers_share_the_pairs(tmp_path, tiny_scenes):
         for path in tmp_path.glob('*.hrs')
         if Shard.of(path.stem).number % 2 == 0
     )
-    names = [[reader.draw(n).name for n in range(k)] for reader, k in zip(
-        readers, (mine, total - mine), strict=True
-    )]  # fmt: skip
+    names = [
+        [reader.draw(n).name for n in range(k)]
+        for reader, k in zip(readers, (mine, total - mine), strict=True)
+    ]
     assert len({*names[0], *names[1]}) == total
 
 
@@ -278,8 +279,9 @@ def test_budgets_are_drawn_within_bounds():
 
 def test_samples_keep_the_budget_and_go_on_after_a_kill(tmp_path, tiny_scenes, tiny_run):
     config = tiny_run(
-        stream=_config(), budget=BudgetConfig(fewest_points=200, most_points=400),
-    )  # fmt: skip
+        stream=_config(),
+        budget=BudgetConfig(fewest_points=200, most_points=400),
+    )
     folder = tmp_path / 'run' / 'stream'
     Filler(folder, config.stream).fill()
     first = list(itertools.islice(SampleStream(config, TINY), 5))

@@ -146,21 +146,44 @@ def _trunk(
     waist = rng.uniform(0.7, 1.0)
     barrel = loft(
         [rear, joints[RIBS] + drop, front],
-        [[0.6 * girth, 0.8 * girth], [0.9 * girth, 1.1 * girth],
-         [waist * girth, 1.05 * waist * girth], [girth, 1.25 * girth],
-         [0.95 * girth, 1.3 * girth], [0.6 * girth, 0.9 * girth]],
-        [LOINS, RIBS], rings=18, sides=14, blend_m=0.2 * h, rng=rng, lumps=fur,
-    )  # fmt: skip
+        [
+            [0.6 * girth, 0.8 * girth],
+            [0.9 * girth, 1.1 * girth],
+            [waist * girth, 1.05 * waist * girth],
+            [girth, 1.25 * girth],
+            [0.95 * girth, 1.3 * girth],
+            [0.6 * girth, 0.9 * girth],
+        ],
+        [LOINS, RIBS],
+        rings=18,
+        sides=14,
+        blend_m=0.2 * h,
+        rng=rng,
+        lumps=fur,
+    )
     thick = 0.55 * girth
     tip = joints[HEAD] + 0.25 * (joints[HEAD] - joints[NECK_TOP])
-    neck = loft([joints[NECK_LOW] + 0.6 * drop, joints[NECK_TOP], tip],
-                [[1.3 * thick, 1.7 * thick], [thick, 1.3 * thick], [0.8 * thick, thick]],
-                [NECK_LOW, NECK_TOP], rings=10, blend_m=0.08 * h, rng=rng, lumps=fur)  # fmt: skip
+    neck = loft(
+        [joints[NECK_LOW] + 0.6 * drop, joints[NECK_TOP], tip],
+        [[1.3 * thick, 1.7 * thick], [thick, 1.3 * thick], [0.8 * thick, thick]],
+        [NECK_LOW, NECK_TOP],
+        rings=10,
+        blend_m=0.08 * h,
+        rng=rng,
+        lumps=fur,
+    )
     bush = rng.uniform(0.025, 0.07) * h
     end = joints[TAIL[2]] + (joints[TAIL[2]] - joints[TAIL[1]])
-    tail = loft([joints[TAIL[0]], joints[TAIL[1]], joints[TAIL[2]], end],
-                [[bush, bush], [1.1 * bush, 1.1 * bush], [0.6 * bush, 0.6 * bush]],
-                TAIL, rings=10, sides=8, blend_m=0.04 * h, rng=rng, lumps=fur)  # fmt: skip
+    tail = loft(
+        [joints[TAIL[0]], joints[TAIL[1]], joints[TAIL[2]], end],
+        [[bush, bush], [1.1 * bush, 1.1 * bush], [0.6 * bush, 0.6 * bush]],
+        TAIL,
+        rings=10,
+        sides=8,
+        blend_m=0.04 * h,
+        rng=rng,
+        lumps=fur,
+    )
     return [barrel, neck, tail]
 
 
@@ -172,23 +195,40 @@ def _head(rng: np.random.Generator, shape: Shape, joints: F64, h: float) -> list
     nose = [x + size * (0.55 + 0.5 * shape.muzzle), 0.0, z - rng.uniform(0.25, 0.75) * skull]
     parts = [
         ball([x + 0.15 * size, 0.0, z], [1.1 * skull, 0.85 * skull, skull], HEAD),
-        loft([[x + 0.1 * size, 0.0, z - 0.2 * skull], nose],
-             [[0.7 * skull, 0.75 * skull], [0.55 * skull, 0.6 * skull],
-              [0.5 * skull, 0.5 * skull]], [HEAD], rings=8, sides=10),
-    ]  # fmt: skip
+        loft(
+            [[x + 0.1 * size, 0.0, z - 0.2 * skull], nose],
+            [[0.7 * skull, 0.75 * skull], [0.55 * skull, 0.6 * skull], [0.5 * skull, 0.5 * skull]],
+            [HEAD],
+            rings=8,
+            sides=10,
+        ),
+    ]
     ear, floppy = _vary(rng, shape.ear, 0.4) * h, rng.random() < 0.4
     horn = rng.uniform(0.12, 0.35) * h if rng.random() < shape.horns else 0.0
     for side in (1.0, -1.0):
         root = [x + 0.05 * size, 0.55 * skull * side, z + 0.55 * skull]
         tip = [root[0], root[1] + 0.5 * ear * side, root[2] + ear * (-0.8 if floppy else 0.9)]
-        parts.append(loft([root, tip], [[0.3 * ear, 0.1 * ear], [0.32 * ear, 0.1 * ear],
-                          [0.08 * ear, 0.05 * ear]], [HEAD], rings=5, sides=8,
-                          side_axis=(1.0, 0.0, 0.0)))  # fmt: skip
+        parts.append(
+            loft(
+                [root, tip],
+                [[0.3 * ear, 0.1 * ear], [0.32 * ear, 0.1 * ear], [0.08 * ear, 0.05 * ear]],
+                [HEAD],
+                rings=5,
+                sides=8,
+                side_axis=(1.0, 0.0, 0.0),
+            )
+        )
         if horn > 0.0:
             bow = [root[0] - 0.3 * horn, root[1] + 0.6 * horn * side, root[2] + 0.6 * horn]
-            parts.append(loft([root, bow, [bow[0], bow[1] * 0.9, bow[2] + 0.5 * horn]],
-                              [[0.025 * h] * 2, [0.015 * h] * 2, [0.006 * h] * 2], [HEAD],
-                              rings=7, sides=6))  # fmt: skip
+            parts.append(
+                loft(
+                    [root, bow, [bow[0], bow[1] * 0.9, bow[2] + 0.5 * horn]],
+                    [[0.025 * h] * 2, [0.015 * h] * 2, [0.006 * h] * 2],
+                    [HEAD],
+                    rings=7,
+                    sides=6,
+                )
+            )
     return parts
 
 
@@ -198,13 +238,29 @@ def _leg(rng: np.random.Generator, shape: Shape, joints: F64, bone: int, h: floa
     foot = joints[bone + 2]
     sole = [foot[0] + 0.01 * h, foot[1], 0.035 * h]
     top = joints[bone] + [0.0, 0.0, 0.06 * h]
-    leg = loft([top, joints[bone + 1], foot, sole],
-               [[thick, 1.5 * thick], [0.85 * thick, 1.25 * thick], [0.55 * thick, 0.65 * thick],
-                [0.42 * thick, 0.48 * thick], [0.4 * thick, 0.42 * thick]],
-               [bone, bone + 1, bone + 2], rings=14, sides=9, blend_m=0.05 * h, rng=rng,
-               lumps=0.02)  # fmt: skip
-    paw = ball([sole[0] + 0.03 * h, sole[1], 0.03 * h], [0.075 * h, 0.5 * thick, 0.03 * h],
-               bone + 2, rings=5, sides=8)  # fmt: skip
+    leg = loft(
+        [top, joints[bone + 1], foot, sole],
+        [
+            [thick, 1.5 * thick],
+            [0.85 * thick, 1.25 * thick],
+            [0.55 * thick, 0.65 * thick],
+            [0.42 * thick, 0.48 * thick],
+            [0.4 * thick, 0.42 * thick],
+        ],
+        [bone, bone + 1, bone + 2],
+        rings=14,
+        sides=9,
+        blend_m=0.05 * h,
+        rng=rng,
+        lumps=0.02,
+    )
+    paw = ball(
+        [sole[0] + 0.03 * h, sole[1], 0.03 * h],
+        [0.075 * h, 0.5 * thick, 0.03 * h],
+        bone + 2,
+        rings=5,
+        sides=8,
+    )
     return [leg, paw]
 
 
@@ -247,8 +303,9 @@ def make_animal(
     swing = {'walk': 0.38, 'trot': 0.5, 'bound': 0.7}.get(activity, 0.0) * rng.uniform(0.8, 1.15)
     place = np.asarray(start, dtype=np.float64)
     step = float(rng.uniform(0.5, 0.9))
-    stance = rng.normal(0.0, 1.0, (48, 3)) * ([0.35, 0.35, 1.2] if activity == 'play' else
-                                              [0.03, 0.03, 0.2])  # fmt: skip
+    stance = rng.normal(0.0, 1.0, (48, 3)) * (
+        [0.35, 0.35, 1.2] if activity == 'play' else [0.03, 0.03, 0.2]
+    )
     stance[0] = 0.0
     motion = AnimalMotion(
         keys=KeyFrames(gesture_keys(rng, activity), step, float(rng.uniform(0.0, step))),

@@ -92,16 +92,32 @@ def make_cloth(
     x, z = np.meshgrid(np.linspace(0, width, columns), -np.linspace(0, height, rows))
     rest = np.stack([x.ravel(), np.zeros(x.size), z.ravel()], axis=1)
     k = np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)
-    quads = [np.stack([k, k + columns, k + 1], -1),
-             np.stack([k + 1, k + columns, k + columns + 1], -1)]  # fmt: skip
+    quads = [
+        np.stack([k, k + columns, k + 1], -1),
+        np.stack([k + 1, k + columns, k + columns + 1], -1),
+    ]
     faces = np.concatenate([q.reshape(-1, 3) for q in quads]).astype(np.int32)
     count = 5
-    folds = np.stack([rng.uniform(0.015, 0.06, count), rng.uniform(4.0, 22.0, count),
-                      rng.uniform(-2.0, 2.0, count), rng.uniform(0.2, 1.5, count),
-                      rng.uniform(0.0, 6.3, count)], axis=1)  # fmt: skip
-    gusts = np.stack([rng.uniform(0.03, 0.16, 3) * force * height, rng.uniform(0.5, 3.0, 3),
-                      rng.uniform(-3.0, 3.0, 3), rng.uniform(1.5, 5.0, 3),
-                      rng.uniform(0.0, 6.3, 3)], axis=1)  # fmt: skip
+    folds = np.stack(
+        [
+            rng.uniform(0.015, 0.06, count),
+            rng.uniform(4.0, 22.0, count),
+            rng.uniform(-2.0, 2.0, count),
+            rng.uniform(0.2, 1.5, count),
+            rng.uniform(0.0, 6.3, count),
+        ],
+        axis=1,
+    )
+    gusts = np.stack(
+        [
+            rng.uniform(0.03, 0.16, 3) * force * height,
+            rng.uniform(0.5, 3.0, 3),
+            rng.uniform(-3.0, 3.0, 3),
+            rng.uniform(1.5, 5.0, 3),
+            rng.uniform(0.0, 6.3, 3),
+        ],
+        axis=1,
+    )
     swing = np.array([rng.uniform(0.3, 0.8) * force, rng.uniform(1.0, 2.6), rng.uniform(0, 6.3)])
     draw = np.array([rng.uniform(0.0, 0.6), rng.uniform(0.4, 1.3), rng.uniform(0.0, 6.3)])
     T = transform(_heading(heading_rad), np.asarray(anchor, dtype=np.float64))
@@ -130,8 +146,10 @@ def make_door(
     parts = [ball([w / 2, 0, h / 2], [w / 2, 0.02, h / 2], 0, square=40.0, rings=6, sides=16)]
     for side in (1.0, -1.0):
         parts.append(ball([0.92 * w, 0.05 * side, 1.0], [0.07, 0.012, 0.012], 0, rings=4, sides=6))
-        parts += [ball([w / 2, 0.02 * side, z], [0.36 * w, 0.012, 0.1 * h], 0, square=12.0)
-                  for z in rng.uniform(0.2, 0.8, rng.integers(0, 4)) * h]  # fmt: skip
+        parts += [
+            ball([w / 2, 0.02 * side, z], [0.36 * w, 0.012, 0.1 * h], 0, square=12.0)
+            for z in rng.uniform(0.2, 0.8, rng.integers(0, 4)) * h
+        ]
     skin = assemble(parts)
     mesh = Mesh(skin.vertices.astype(np.float32), skin.faces.astype(np.int32))
     half, rate = rng.uniform(0.35, 0.75), rng.uniform(0.8, 2.0)
@@ -170,11 +188,19 @@ def make_suitcase(
     top = 2 * size[2] + lift
     grip = rng.uniform(0.15, 0.45)
     for y in (-0.4, 0.4):
-        parts.append(ball([-0.7 * size[0], y * size[1], top + grip / 2], [0.012, 0.012, grip / 2],
-                          0, rings=4, sides=6))  # fmt: skip
+        parts.append(
+            ball(
+                [-0.7 * size[0], y * size[1], top + grip / 2],
+                [0.012, 0.012, grip / 2],
+                0,
+                rings=4,
+                sides=6,
+            )
+        )
         parts.append(ball([0, 2 * y * size[1], lift], [0.04, 0.02, 0.04], 0, rings=5, sides=8))
-    parts.append(ball([-0.7 * size[0], 0, top + grip], [0.015, 0.45 * size[1], 0.015], 0,
-                      rings=4, sides=6))  # fmt: skip
+    parts.append(
+        ball([-0.7 * size[0], 0, top + grip], [0.015, 0.45 * size[1], 0.015], 0, rings=4, sides=6)
+    )
     skin = assemble(parts)
     mesh = Mesh(skin.vertices.astype(np.float32), skin.faces.astype(np.int32))
     place = np.asarray(start, dtype=np.float64)
@@ -228,16 +254,28 @@ def make_robot_arm(
     parts = [ball([0, 0, 0.35 * thick], [2.2 * thick, 2.2 * thick, 0.35 * thick], 0, square=4.0)]
     for k in range(4):
         r = thick * (1.0 - 0.2 * k)
-        parts.append(loft([[0, 0, z[k]], [0, 0, z[k + 1]]], [[r, r], [0.7 * r, 0.8 * r], [r, r]],
-                          [k + 1], rings=7, sides=10, square=rng.uniform(2, 6)))  # fmt: skip
+        parts.append(
+            loft(
+                [[0, 0, z[k]], [0, 0, z[k + 1]]],
+                [[r, r], [0.7 * r, 0.8 * r], [r, r]],
+                [k + 1],
+                rings=7,
+                sides=10,
+                square=rng.uniform(2, 6),
+            )
+        )
         parts.append(ball([0, 0, z[k]], [1.3 * r, 1.5 * r, 1.3 * r], k + 1, rings=6, sides=10))
     tool = rng.uniform(0.6, 1.6) * thick
     parts.append(ball([0, 0, z[4]], [tool, 2.0 * tool, tool], 4, square=5.0, rings=6))
     spread = np.array([[0, 0, 0], [0, 0, 1.6], [0.1, 0.7, 0.2], [0.1, 1.0, 0.2], [0.5, 0.8, 1.0]])
     keys = rng.normal(0.0, 1.0, (32, 5, 3)) * spread
     keys[:, 2, 1] = np.clip(keys[:, 2, 1], -1.1, 1.1)
-    motion = _Machine(KeyFrames(keys, float(rng.uniform(0.6, 1.4))), np.zeros((5, 3)),
-                      np.asarray(start, dtype=np.float64), heading_rad)  # fmt: skip
+    motion = _Machine(
+        KeyFrames(keys, float(rng.uniform(0.6, 1.4))),
+        np.zeros((5, 3)),
+        np.asarray(start, dtype=np.float64),
+        heading_rad,
+    )
     rig = Rig((-1, 0, 1, 2, 3), joints, assemble(parts), np.array([0]), np.zeros((1, 3)))
     return SkinnedMover(rig, motion, 0.0, 'robot arm')
 
@@ -274,7 +312,11 @@ def make_fan(
     keys[:, 1, 1] = rng.normal(0.0, 0.15)
     spin = np.zeros((3, 3))
     spin[2, 0] = rng.uniform(3.0, 14.0)
-    motion = _Machine(KeyFrames(keys, float(rng.uniform(1.0, 2.0))), spin,
-                      np.asarray(start, dtype=np.float64), heading_rad)  # fmt: skip
+    motion = _Machine(
+        KeyFrames(keys, float(rng.uniform(1.0, 2.0))),
+        spin,
+        np.asarray(start, dtype=np.float64),
+        heading_rad,
+    )
     rig = Rig((-1, 0, 1), joints, assemble(parts), np.array([0]), np.zeros((1, 3)))
     return SkinnedMover(rig, motion, 0.0, 'fan')

@@ -182,8 +182,9 @@ def human_rig(rng: np.random.Generator, *, load: bool = True, coarse: bool = Fal
     if load:
         parts += carried(rng, build, joints)
     h = build.height
-    soles = [joints[f] * [1, 1, 0] + [dx * h, 0, 0.0] for f in (FOOT_L, FOOT_R)
-             for dx in (-0.04, 0.12)]  # fmt: skip
+    soles = [
+        joints[f] * [1, 1, 0] + [dx * h, 0, 0.0] for f in (FOOT_L, FOOT_R) for dx in (-0.04, 0.12)
+    ]
     others = [joints[j] - [r * h, 0, 0] for j, r in ((PELVIS, 0.06), (CHEST, 0.06))]
     knees = [joints[j] + [0.04 * h, 0, 0] for j in (SHIN_L, SHIN_R)]
     bones = [FOOT_L, FOOT_L, FOOT_R, FOOT_R, PELVIS, CHEST, SHIN_L, SHIN_R]
@@ -222,8 +223,14 @@ def make_human(  # noqa: PLR0913 - all but two are optional
     rig = rig or human_rig(rng)
     chosen = activity or str(rng.choice(ACTIVITIES))
     motion: HumanMotion = make_motion(
-        rng, chosen, np.asarray(start, dtype=np.float64), heading_rad,
-        track=track, reach_m=reach_m, speed_mps=speed_mps, ground=ground,
+        rng,
+        chosen,
+        np.asarray(start, dtype=np.float64),
+        heading_rad,
+        track=track,
+        reach_m=reach_m,
+        speed_mps=speed_mps,
+        ground=ground,
         leg_m=float(rig.joints[THIGH_L, 2]),
-    )  # fmt: skip
+    )
     return SkinnedMover(rig, motion, motion.speed_mps, f'human {chosen}')

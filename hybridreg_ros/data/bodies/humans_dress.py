@@ -57,13 +57,24 @@ def hair(rng: np.random.Generator, centre: list[float], size: float) -> list[Par
     parts: list[Part] = []
     if style in ('short', 'bun', 'long'):
         s = rng.uniform(1.04, 1.25)
-        parts.append(ball([x - 0.16 * size, y, z + 0.2 * size], [0.8 * size * s, 0.72 * size * s,
-                     0.9 * size * s], HEAD))  # fmt: skip
+        parts.append(
+            ball(
+                [x - 0.16 * size, y, z + 0.2 * size],
+                [0.8 * size * s, 0.72 * size * s, 0.9 * size * s],
+                HEAD,
+            )
+        )
     if style == 'long':
         end = z - rng.uniform(1.2, 3.4) * size
-        parts.append(loft([[x - 0.45 * size, 0, z + 0.7 * size], [x - 0.75 * size, 0, end]],
-                     [[0.7 * size, 0.35 * size], [0.85 * size, 0.3 * size],
-                      [0.5 * size, 0.15 * size]], [HEAD], rng=rng, lumps=0.08))  # fmt: skip
+        parts.append(
+            loft(
+                [[x - 0.45 * size, 0, z + 0.7 * size], [x - 0.75 * size, 0, end]],
+                [[0.7 * size, 0.35 * size], [0.85 * size, 0.3 * size], [0.5 * size, 0.15 * size]],
+                [HEAD],
+                rng=rng,
+                lumps=0.08,
+            )
+        )
     elif style == 'bun':
         parts.append(ball([x - 0.9 * size, 0, z + 0.6 * size], [0.42 * size] * 3, HEAD, rings=6))
     elif style in ('cap', 'hat'):
@@ -71,13 +82,17 @@ def hair(rng: np.random.Generator, centre: list[float], size: float) -> list[Par
         shift = 0.0 if style == 'hat' else 0.75 * size
         crown = rng.uniform(0.5, 1.3)
         parts.append(ball([x, y, z + 0.6 * size], [0.98 * size, 0.82 * size, crown * size], HEAD))
-        parts.append(ball([x + shift, y, z + 0.5 * size], [brim, 0.9 * brim, 0.1 * size], HEAD,
-                     rings=4))  # fmt: skip
+        parts.append(
+            ball([x + shift, y, z + 0.5 * size], [brim, 0.9 * brim, 0.1 * size], HEAD, rings=4)
+        )
     elif style == 'hood':
         parts.append(ball([x - 0.25 * size, y, z], [1.0 * size, 0.95 * size, 1.25 * size], HEAD))
     elif style == 'helmet':
-        parts.append(ball([x - 0.05 * size, y, z + 0.35 * size], [1.2 * size, 1.0 * size,
-                     0.95 * size], HEAD))  # fmt: skip
+        parts.append(
+            ball(
+                [x - 0.05 * size, y, z + 0.35 * size], [1.2 * size, 1.0 * size, 0.95 * size], HEAD
+            )
+        )
     return parts
 
 
@@ -87,10 +102,20 @@ def gown(rng: np.random.Generator, b: Build, joints: F64) -> list[Part]:
     waist, length = joints[SPINE, 2] - 0.02 * h, rng.uniform(0.18, 0.42) * h
     wide = rng.uniform(1.0, 1.7)
     base = 0.085 * h * b.weight + b.clothes
-    tube = loft([[0, 0, waist], [0, 0, waist - length]],
-                [[base, 0.8 * base], [1.25 * base, 1.05 * base], [1.3 * base * wide,
-                 1.1 * base * wide], [1.35 * base * wide, 1.15 * base * wide]],
-                [PELVIS], rings=12, sides=18, rng=rng, lumps=0.04)  # fmt: skip
+    tube = loft(
+        [[0, 0, waist], [0, 0, waist - length]],
+        [
+            [base, 0.8 * base],
+            [1.25 * base, 1.05 * base],
+            [1.3 * base * wide, 1.1 * base * wide],
+            [1.35 * base * wide, 1.15 * base * wide],
+        ],
+        [PELVIS],
+        rings=12,
+        sides=18,
+        rng=rng,
+        lumps=0.04,
+    )
     drop = np.clip((waist - tube.vertices[:, 2]) / (0.22 * h) - 0.3, 0.0, 0.8)
     left = tube.vertices[:, 1] > 0.0
     held = np.where(left, THIGH_L, THIGH_R)

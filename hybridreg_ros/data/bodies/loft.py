@@ -170,9 +170,13 @@ def coarser(part: Part) -> Part:
     kept = (ring[:, None] * sides + side).ravel()
     rows = np.concatenate([kept, rings * sides + np.arange(2)])
     return Part(
-        part.vertices[rows], tube_faces(len(ring), len(side)), part.bone_a[rows],
-        part.bone_b[rows], part.weight_b[rows], (len(ring), len(side)),
-    )  # fmt: skip
+        part.vertices[rows],
+        tube_faces(len(ring), len(side)),
+        part.bone_a[rows],
+        part.bone_b[rows],
+        part.weight_b[rows],
+        (len(ring), len(side)),
+    )
 
 
 def assemble(parts: Sequence[Part], *, coarse: bool = False) -> Part:

@@ -136,8 +136,13 @@ class Glance:
 
     def rows(self, keep: NDArray[np.bool_]) -> Glance:
         """What some of the views show."""
-        return Glance(self.depth[keep], self.kept[keep], self.instance[keep],
-                      self.weight[keep], self.useful[keep])  # fmt: skip
+        return Glance(
+            self.depth[keep],
+            self.kept[keep],
+            self.instance[keep],
+            self.weight[keep],
+            self.useful[keep],
+        )
 
     def shares(self, count: int) -> F64:
         """Share of the points of all views that shows each of so many movers (count,)."""
@@ -178,9 +183,13 @@ def _judged(look: Looker, trace: Trace, views: int, across: int) -> Glance:
 
 
 def promising(
-    look: Looker, caster: Caster, T: F64, time_s: float, keep: tuple[int, float, float],
+    look: Looker,
+    caster: Caster,
+    T: F64,
+    time_s: float,
+    keep: tuple[int, float, float],
     ranges_m: tuple[float, ...],
-) -> tuple[F64, Looker, int]:  # fmt: skip
+) -> tuple[F64, Looker, int]:
     """The best of some candidate views, after a look with very few rays.
 
     Args:
@@ -239,11 +248,13 @@ def compare(
     cosine = 0.5 * (np.einsum('aij,bij->ab', T[:, :3, :3], T[:, :3, :3]) - 1.0)
     any_mover = np.arange(len(moves)) > 0
     return Survey(
-        T, overlap, np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))),
+        T,
+        overlap,
+        np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))),
         np.stack([target.share(moves), source.share(moves)]),
         np.stack([target.share(any_mover), source.share(any_mover)]),
         np.minimum(target.useful, source.useful),
-    )  # fmt: skip
+    )
 
 
 def _normal_spread(normal: NDArray[np.float32], kept: NDArray[np.bool_]) -> F64:

@@ -103,8 +103,9 @@ def draw_sheet(pairs: Sequence[PointPair], path: Path) -> None:
         row[0].set_ylabel(
             f'overlap {pair.overlap:.2f}\nmoving {pair.dynamic_share:.2f}', fontsize=8
         )
-        row[1].set_title(f'{pair.name}, {len(pair.source)} and {len(pair.target)} points',
-                         fontsize=7, pad=2)  # fmt: skip
+        row[1].set_title(
+            f'{pair.name}, {len(pair.source)} and {len(pair.target)} points', fontsize=7, pad=2
+        )
     for axis, title in zip(axes[-1], _TITLES, strict=True):
         axis.set_xlabel(title, fontsize=8)
     save(sheet, path)

@@ -110,9 +110,12 @@ def shot_times(rng: np.random.Generator, longest_s: float) -> F64:
 
 
 def who_moves(
-    rng: np.random.Generator, units: Sequence[Unit], share: F64, may: NDArray[np.bool_],
+    rng: np.random.Generator,
+    units: Sequence[Unit],
+    share: F64,
+    may: NDArray[np.bool_],
     most: float,
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:  # fmt: skip
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which units stay in the scene and which of these move: about half, as far as they fit.
 
     Args:
@@ -162,9 +165,13 @@ def unit_shares(units: Sequence[Unit], instance: NDArray[np.uint16], count: int)
 
 
 def recorded_samples(
-    rng: np.random.Generator, kind: Kind, seed: int, shots: Sequence[Shot],
-    movers: Sequence[Mover], count: int,
-) -> list[Sample]:  # fmt: skip
+    rng: np.random.Generator,
+    kind: Kind,
+    seed: int,
+    shots: Sequence[Shot],
+    movers: Sequence[Mover],
+    count: int,
+) -> list[Sample]:
     """Pairs of the scans of one scene, at most `count`, in random order and direction.
 
     Of those in which nothing moves, some are kept.
@@ -215,15 +222,30 @@ def _sample(
     overlap = float(seen.sum() / max(static[0].sum(), 1))
     if share > kind.most_moving or overlap < _LEAST_OVERLAP:
         return None
-    own = [np.where(s, 0, shot.instance).astype(np.uint16)
-           for s, shot in zip(static, (source, target), strict=True)]  # fmt: skip
+    own = [
+        np.where(s, 0, shot.instance).astype(np.uint16)
+        for s, shot in zip(static, (source, target), strict=True)
+    ]
     pair = PointPair(
-        source.points, target.points, T, labels[0], labels[1], own[0], own[1],
-        overlap, share, kind.voxel_m, name, seed,
-    )  # fmt: skip
+        source.points,
+        target.points,
+        T,
+        labels[0],
+        labels[1],
+        own[0],
+        own[1],
+        overlap,
+        share,
+        kind.voxel_m,
+        name,
+        seed,
+    )
     truth = Truth(
-        tuple(bodies.movers), (source.time_s, target.time_s), source.T_world_sensor,
-        source.sigma_m, seen,
-    )  # fmt: skip
+        tuple(bodies.movers),
+        (source.time_s, target.time_s),
+        source.T_world_sensor,
+        source.sigma_m,
+        seen,
+    )
     shown = np.bincount(np.concatenate(own), minlength=2)[1:]
     return Sample(pair, apart[int(shown.argmax()) + 1] if shown.any() else 0.0, truth)

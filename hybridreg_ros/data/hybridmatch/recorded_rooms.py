@@ -94,9 +94,13 @@ def recorded_room(seed: int, count: int = PAIRS_A_SCENE) -> list[Sample]:
     room = make_room(rng, str(rng.choice(_ROOMS, p=_ROOM_SHARE)))
     more = _pushed(rng, room) + _doors(rng, room)
     stage = set_stage(
-        rng, room, people=int(rng.integers(1, 6)), animals=int(rng.random() < 0.2),
-        shifted=int(rng.integers(0, 4)), reach_m=float(rng.uniform(1.0, 5.0)),
-    )  # fmt: skip
+        rng,
+        room,
+        people=int(rng.integers(1, 6)),
+        animals=int(rng.random() < 0.2),
+        shifted=int(rng.integers(0, 4)),
+        reach_m=float(rng.uniform(1.0, 5.0)),
+    )
     more += _walkers(rng, stage)
     units: list[Unit] = [(mover,) for mover in (*stage.scene.movers, *more)]
     camera = random_camera(rng).strided(float(rng.uniform(1.6, 2.8)))
@@ -135,9 +139,15 @@ def _walkers(rng: np.random.Generator, stage: Stage) -> list[Mover]:
     for _ in range(int(rng.integers(1, 4)) if len(spots) else 0):
         start = np.array([*spots[rng.integers(len(spots))], 0.0])
         movers.append(
-            make_human(rng, start, float(rng.uniform(0.0, 6.3)), activity='walk',
-                       reach_m=float(rng.uniform(0.6, 2.0)), rig=human_rig(rng, coarse=True))
-        )  # fmt: skip
+            make_human(
+                rng,
+                start,
+                float(rng.uniform(0.0, 6.3)),
+                activity='walk',
+                reach_m=float(rng.uniform(0.6, 2.0)),
+                rig=human_rig(rng, coarse=True),
+            )
+        )
     return movers
 
 
@@ -232,9 +242,13 @@ def _glance(
 
 
 def _peopled(
-    rng: np.random.Generator, caster: Caster, camera: DepthCamera, walk: _Walk,
-    units: list[Unit], times: F64,
-) -> Caster:  # fmt: skip
+    rng: np.random.Generator,
+    caster: Caster,
+    camera: DepthCamera,
+    walk: _Walk,
+    units: list[Unit],
+    times: F64,
+) -> Caster:
     """The room with its movers, of which about half stand; none meets the camera."""
     places = np.stack([walk.pose_at(t)[:3, 3] for t in times.tolist()])
     stand_s = rng.uniform(times[0], times[-1], len(units))
@@ -255,9 +269,13 @@ def _peopled(
 
 
 def _shot(
-    rng: np.random.Generator, caster: Caster, camera: DepthCamera, T: F64, time_s: float,
+    rng: np.random.Generator,
+    caster: Caster,
+    camera: DepthCamera,
+    T: F64,
+    time_s: float,
     loss: NDArray[np.float32],
-) -> Shot:  # fmt: skip
+) -> Shot:
     """One image as a cloud."""
     image = camera.render(caster, time_s, T, rng, loss=loss)
     kept = np.isfinite(image.depth) & np.isfinite(image.clean)

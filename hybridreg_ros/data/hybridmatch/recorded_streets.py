@@ -48,14 +48,27 @@ _DESKEW_ERROR = 0.03
 _CLEAR_M, _CLEAR_AT = 1.2, 7
 _TILTED_SHARE, _TILT_DEG = 0.2, 25.0
 _PLACES = {
-    'street': 0.4, 'road': 0.25, 'car_park': 0.1, 'park': 0.1, 'square': 0.1, 'warehouse': 0.05
-}  # fmt: skip
+    'street': 0.4,
+    'road': 0.25,
+    'car_park': 0.1,
+    'park': 0.1,
+    'square': 0.1,
+    'warehouse': 0.05,
+}
 _AHEAD = {'rosette': rosette, 'raster': raster}
 _MODELS = {
-    'double64': 0.3, 'even32': 0.13, 'even16': 0.15, 'wide64': 0.08, 'narrow64': 0.08,
-    'wide128': 0.05, 'dome64': 0.03, 'dense32': 0.03, 'dense128': 0.04, 'rosette': 0.07,
+    'double64': 0.3,
+    'even32': 0.13,
+    'even16': 0.15,
+    'wide64': 0.08,
+    'narrow64': 0.08,
+    'wide128': 0.05,
+    'dome64': 0.03,
+    'dense32': 0.03,
+    'dense128': 0.04,
+    'rosette': 0.07,
     'raster': 0.04,
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,6 +189,10 @@ def _shot(
         _DESKEW_ERROR * np.linalg.norm(skew, axis=1),
     )
     return Shot(
-        points, scan.true.reshape(-1, 3)[rows], scan.instance.reshape(-1)[rows],
-        sigma.astype(np.float32), rig.pose_at(time_s), time_s,
-    )  # fmt: skip
+        points,
+        scan.true.reshape(-1, 3)[rows],
+        scan.instance.reshape(-1)[rows],
+        sigma.astype(np.float32),
+        rig.pose_at(time_s),
+        time_s,
+    )

@@ -159,9 +159,15 @@ def _street_samples(split: str, seed: int, count: int, *, still: bool) -> list[S
 
 
 def _named(
-    name: str, seed: int, k: int, world: World, cell: Cell, views: tuple[int, int],
-    *, still: bool,
-) -> Sample | None:  # fmt: skip
+    name: str,
+    seed: int,
+    k: int,
+    world: World,
+    cell: Cell,
+    views: tuple[int, int],
+    *,
+    still: bool,
+) -> Sample | None:
     """Take a sample with its own noise, and name its pair."""
     rng = np.random.default_rng([seed, 2, k])
     sample = take_sample(rng, world, cell, views, still=still)

@@ -82,9 +82,14 @@ def decode_pair(blob: bytes) -> PointPair:
             at += 9 * n
         T = np.array(meta['T_target_source'], np.float64).reshape(4, 4)
         return PointPair(
-            T_target_source=T, overlap=meta['overlap'], dynamic_share=meta['dynamic_share'],
-            voxel_size_m=meta['voxel_size_m'], name=meta['name'], seed=meta['seed'], **arrays,
-        )  # fmt: skip
+            T_target_source=T,
+            overlap=meta['overlap'],
+            dynamic_share=meta['dynamic_share'],
+            voxel_size_m=meta['voxel_size_m'],
+            name=meta['name'],
+            seed=meta['seed'],
+            **arrays,
+        )
     except (zlib.error, struct.error, ValueError, KeyError) as error:
         raise FileFormatError(
             f'a pair of a shard cannot be read ({error}); generate the shard again'

@@ -79,22 +79,32 @@ def summarise(
     top = 5000.0 * np.ceil(max(points.max(), 1) / 5000.0)
     moved = np.array([row.displacement_m for row in rows])
     return SplitSummary(
-        split, len(rows), seed, seed + scenes - 1, scenes, layout, GENERATOR_VERSION,
+        split,
+        len(rows),
+        seed,
+        seed + scenes - 1,
+        scenes,
+        layout,
+        GENERATOR_VERSION,
         {
             'overlap': _spread(np.array([row.overlap for row in rows]), 1.0),
             'dynamic_share': _spread(np.array([row.dynamic_share for row in rows]), 1.0),
             'points': _spread(points, float(top)),
             'displacement_m': _spread(moved, float(max(2.0, np.ceil(moved.max())))),
         },
-    )  # fmt: skip
+    )
 
 
 def _spread(values: NDArray[np.floating] | NDArray[np.integer], top: float) -> Distribution:
     counts, edges = np.histogram(values, _BINS, (0.0, top))
     return Distribution(
-        float(values.min()), float(values.mean()), float(np.median(values)), float(values.max()),
-        tuple(round(float(e), 6) for e in edges), tuple(int(c) for c in counts),
-    )  # fmt: skip
+        float(values.min()),
+        float(values.mean()),
+        float(np.median(values)),
+        float(values.max()),
+        tuple(round(float(e), 6) for e in edges),
+        tuple(int(c) for c in counts),
+    )
 
 
 def read_summary(folder: Path) -> SplitSummary:

@@ -57,9 +57,13 @@ def make_block(block: Block) -> Made:
 def _row(sample: Sample) -> Row:
     pair = sample.pair
     return Row(
-        pair.name, float(pair.overlap), float(pair.dynamic_share), len(pair.source),
-        len(pair.target), float(sample.displacement_m),
-    )  # fmt: skip
+        pair.name,
+        float(pair.overlap),
+        float(pair.dynamic_share),
+        len(pair.source),
+        len(pair.target),
+        float(sample.displacement_m),
+    )
 
 
 def results(

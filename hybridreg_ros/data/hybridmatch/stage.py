@@ -149,9 +149,12 @@ def _company(rng: np.random.Generator, *, crowded: bool) -> dict[str, int]:
 
 
 def _who_moves(
-    rng: np.random.Generator, stage: Stage, share: F64, times_s: tuple[float, float],
+    rng: np.random.Generator,
+    stage: Stage,
+    share: F64,
+    times_s: tuple[float, float],
     wanted: tuple[float, float],
-) -> tuple[NDArray[np.bool_], float]:  # fmt: skip
+) -> tuple[NDArray[np.bool_], float]:
     """A figure that gets far enough, and others in random order, up to a share of the points.
 
     Args:

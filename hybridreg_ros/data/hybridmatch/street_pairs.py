@@ -69,9 +69,17 @@ class _SensorView:
 
     def rows(self, keep: NDArray[np.int64]) -> _SensorView:
         """The view of some points."""
-        return _SensorView(self.points[keep], self.true[keep], self.label[keep],
-                           self.instance[keep], self.crowd[keep], self.plane[keep],
-                           self.sigma_m[keep], self.T_world_sensor, self.time_s)  # fmt: skip
+        return _SensorView(
+            self.points[keep],
+            self.true[keep],
+            self.label[keep],
+            self.instance[keep],
+            self.crowd[keep],
+            self.plane[keep],
+            self.sigma_m[keep],
+            self.T_world_sensor,
+            self.time_s,
+        )
 
     @cached_property
     def polar(self) -> tuple[F32, F32]:
@@ -146,9 +154,13 @@ def street_cell(
         pair, crop, sigma, seen = made
         twin = None
         if still:
-            twin = pair.target if cell.frozen else crop.of(
-                _take(own, world, caster, lidar, target.time_s, time_s, pose=target)
-            ).points  # fmt: skip
+            twin = (
+                pair.target
+                if cell.frozen
+                else crop.of(
+                    _take(own, world, caster, lidar, target.time_s, time_s, pose=target)
+                ).points
+            )
         pair = replace(pair, name=f'{name}-{seed:07d}-{k}', seed=seed)
         truth = Truth(
             caster.scene.movers, (time_s, target.time_s), source.T_world_sensor, sigma, seen
@@ -186,10 +198,16 @@ def _affordable(lidar: SpinningLidar) -> SpinningLidar:
 
 
 def _take(
-    rng: np.random.Generator, world: StreetWorld, caster: Caster, lidar: SpinningLidar,
-    time_s: float, frozen_s: float | None, *, shift: bool = False,
+    rng: np.random.Generator,
+    world: StreetWorld,
+    caster: Caster,
+    lidar: SpinningLidar,
+    time_s: float,
+    frozen_s: float | None,
+    *,
+    shift: bool = False,
     pose: _SensorView | None = None,
-) -> _SensorView:  # fmt: skip
+) -> _SensorView:
     """Scan from the way at a time, or with `pose` from exactly that view's place.
 
     The scan is taken on the move and deskewed with a slightly wrong velocity, as a front end
@@ -220,8 +238,17 @@ def _take(
     skew = np.linalg.norm((best - raw).reshape(-1, 3)[rows], axis=1)
     sigma = np.hypot(lidar.sigma_m(np.linalg.norm(points[rows], axis=1)), _DESKEW_ERROR * skew)
     crowd = scan.mover.reshape(-1)[rows]
-    return _SensorView(points[rows], scan.true.reshape(-1, 3)[rows], label, instance, crowd,
-                 plane.astype(np.int32), sigma, pose_at(time_s), time_s)  # fmt: skip
+    return _SensorView(
+        points[rows],
+        scan.true.reshape(-1, 3)[rows],
+        label,
+        instance,
+        crowd,
+        plane.astype(np.int32),
+        sigma,
+        pose_at(time_s),
+        time_s,
+    )
 
 
 def _fit(
@@ -272,8 +299,18 @@ def _measure(
         return None
     both = np.zeros(len(s_label), np.bool_)
     both[s_label == 0] = seen
-    pair = PointPair(source.points, target.points, T, s_label, t_label, source.instance,
-                     target.instance, overlap, share, VOXEL_SIZE_M)  # fmt: skip
+    pair = PointPair(
+        source.points,
+        target.points,
+        T,
+        s_label,
+        t_label,
+        source.instance,
+        target.instance,
+        overlap,
+        share,
+        VOXEL_SIZE_M,
+    )
     return pair, both
 
 

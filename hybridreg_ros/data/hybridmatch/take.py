@@ -64,9 +64,13 @@ class Sample:
 
 
 def take_sample(
-    rng: np.random.Generator, world: World, cell: Cell, views: tuple[int, int],
-    *, still: bool = False,
-) -> Sample | None:  # fmt: skip
+    rng: np.random.Generator,
+    world: World,
+    cell: Cell,
+    views: tuple[int, int],
+    *,
+    still: bool = False,
+) -> Sample | None:
     """Take the pair of two views (source, target); None when it does not suit the cell.
 
     Args:
@@ -96,9 +100,17 @@ def take_sample(
     if not fits or not (cell.frozen or cell.dynamic[0] <= share <= cell.dynamic[1]):
         return None
     pair = PointPair(
-        source.points, target.points, T, source.label, target.label,
-        source.instance, target.instance, overlap, share, VOXEL_SIZE_M,
-    )  # fmt: skip
+        source.points,
+        target.points,
+        T,
+        source.label,
+        target.label,
+        source.instance,
+        target.instance,
+        overlap,
+        share,
+        VOXEL_SIZE_M,
+    )
     if not still:
         twin = None
     elif cell.frozen:
@@ -159,9 +171,12 @@ def _cloud(
     for k in range(count):
         T_base_view = np.eye(4) if k == 0 else _nearby(rng)
         image = world.camera.render(
-            world.caster, time_s, T_world_camera @ T_base_view, rng,
+            world.caster,
+            time_s,
+            T_world_camera @ T_base_view,
+            rng,
             loss=world.stage.background.loss,
-        )  # fmt: skip
+        )
         images.append((T_base_view, image))
         drift = T_base_view if k == 0 else T_base_view @ _small_motion(rng, 0.004, 0.003)
         parts.append(_points(world, image, drift))

@@ -111,8 +111,9 @@ def _differences(
     steps = {k: np.abs(even[k:] - even[:-k]) for k in lags}
     steps = {k: s[np.isfinite(s)] for k, s in steps.items()}
     mean = {k: float(s.mean()) if len(s) else 0.0 for k, s in steps.items()}
-    return mean, {k: float(s.std()) / max(len(s), 1) ** 0.5 if len(s) else 0.0
-                  for k, s in steps.items()}  # fmt: skip
+    return mean, {
+        k: float(s.std()) / max(len(s), 1) ** 0.5 if len(s) else 0.0 for k, s in steps.items()
+    }
 
 
 def _check_coordinates(xyz: NDArray[np.float32]) -> None:

@@ -52,8 +52,9 @@ class KittiOdometry(FramePairs):
             )
         T_camera_lidar = _calibration(folder)
         back = se3.inverse(T_camera_lidar)
-        poses = [back @ rigid(row, f'{folder} pose {k}') @ T_camera_lidar
-                 for k, row in enumerate(rows)]  # fmt: skip
+        poses = [
+            back @ rigid(row, f'{folder} pose {k}') @ T_camera_lidar for k, row in enumerate(rows)
+        ]
         times = folder / 'times.txt'
         self.times_s: F64 | None = read_numbers(times, 1)[:, 0] if times.exists() else None
         stacked = np.stack(poses)

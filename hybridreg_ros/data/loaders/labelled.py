@@ -121,15 +121,22 @@ class LabelledScans(KittiOdometry):
                     f'{self.folder}: expected {len(cloud)} labels of scan {index}, found '
                     f'{len(label)}'
                 )
-        moving = [np.where(label == Moving.MOVING, Label.MOVING_RIGID, Label.STATIC)
-                  for label in labels]  # fmt: skip
+        moving = [
+            np.where(label == Moving.MOVING, Label.MOVING_RIGID, Label.STATIC) for label in labels
+        ]
         pair = PointPair(
-            clouds[0], clouds[1], se3.inverse(self.poses[j]) @ self.poses[i],
-            moving[0].astype(np.uint8), moving[1].astype(np.uint8),
-            np.zeros(len(clouds[0]), np.uint16), np.zeros(len(clouds[1]), np.uint16),
-            np.nan, float(np.concatenate(moving).astype(np.bool_).mean()), self.voxel_size_m,
+            clouds[0],
+            clouds[1],
+            se3.inverse(self.poses[j]) @ self.poses[i],
+            moving[0].astype(np.uint8),
+            moving[1].astype(np.uint8),
+            np.zeros(len(clouds[0]), np.uint16),
+            np.zeros(len(clouds[1]), np.uint16),
+            np.nan,
+            float(np.concatenate(moving).astype(np.bool_).mean()),
+            self.voxel_size_m,
             f'{self.folder.name}-{j:06d}_{i:06d}',
-        )  # fmt: skip
+        )
         return LabelledPair(pair, labels[0] > 0, labels[1] > 0)
 
 

@@ -66,17 +66,24 @@ class OfficialHybridMatch:
             s_label = _labels(place / 'src_back_indices.json', len(source))
             t_label = _labels(place / 'ref_back_indices.json', len(target))
         near = near_cells(
-            apply(T, source[s_label == 0].astype(np.float64)), target[t_label == 0],
+            apply(T, source[s_label == 0].astype(np.float64)),
+            target[t_label == 0],
             self.voxel_size_m,
-        )  # fmt: skip
+        )
         moving = (s_label > 0).sum() + (t_label > 0).sum()
         return PointPair(
-            source, target, T, s_label, t_label,
-            (s_label > 0).astype(np.uint16), (t_label > 0).astype(np.uint16),
+            source,
+            target,
+            T,
+            s_label,
+            t_label,
+            (s_label > 0).astype(np.uint16),
+            (t_label > 0).astype(np.uint16),
             float(near.mean()) if len(near) else 0.0,
-            float(moving) / max(len(source) + len(target), 1), self.voxel_size_m,
+            float(moving) / max(len(source) + len(target), 1),
+            self.voxel_size_m,
             place.relative_to(self.folder).as_posix(),
-        )  # fmt: skip
+        )
 
 
 def _array(path: Path) -> NDArray[np.float64]:

@@ -92,9 +92,15 @@ def from_quaternion(place: F64, xyzw: F64, what: str) -> F64:
 
 
 def recorded_pair(
-    source: F32, target: F32, T_target_source: F64, voxel_size_m: float, name: str,
-    *, overlap_m: float | None = None, thin_m: float = 0.0,
-) -> PointPair:  # fmt: skip
+    source: F32,
+    target: F32,
+    T_target_source: F64,
+    voxel_size_m: float,
+    name: str,
+    *,
+    overlap_m: float | None = None,
+    thin_m: float = 0.0,
+) -> PointPair:
     """A pair without labels: every point counts as static.
 
     Args:
@@ -113,10 +119,18 @@ def recorded_pair(
     radius = 1.5 * voxel_size_m if overlap_m is None else overlap_m
     n, m = len(clouds[0]), len(clouds[1])
     return PointPair(
-        clouds[0], clouds[1], T_target_source, np.zeros(n, np.uint8), np.zeros(m, np.uint8),
-        np.zeros(n, np.uint16), np.zeros(m, np.uint16),
-        overlap_share(clouds[0], clouds[1], T_target_source, radius), 0.0, voxel_size_m, name,
-    )  # fmt: skip
+        clouds[0],
+        clouds[1],
+        T_target_source,
+        np.zeros(n, np.uint8),
+        np.zeros(m, np.uint8),
+        np.zeros(n, np.uint16),
+        np.zeros(m, np.uint16),
+        overlap_share(clouds[0], clouds[1], T_target_source, radius),
+        0.0,
+        voxel_size_m,
+        name,
+    )
 
 
 class FramePairs:
@@ -150,9 +164,13 @@ class FramePairs:
         i, j = self.pairs[index]
         T = se3.inverse(self.poses[j]) @ self.poses[i]
         return recorded_pair(
-            self.cloud(i), self.cloud(j), T, self.voxel_size_m,
-            f'{self.folder.name}-{j:06d}_{i:06d}', thin_m=0.4 * self.voxel_size_m,
-        )  # fmt: skip
+            self.cloud(i),
+            self.cloud(j),
+            T,
+            self.voxel_size_m,
+            f'{self.folder.name}-{j:06d}_{i:06d}',
+            thin_m=0.4 * self.voxel_size_m,
+        )
 
 
 def pairs_apart(poses: F64, distance_m: float) -> list[tuple[int, int]]:

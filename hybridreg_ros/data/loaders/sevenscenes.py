@@ -39,9 +39,13 @@ class SevenScenes(FramePairs):
     """
 
     def __init__(
-        self, folder: str | Path, *, step: int = 10, max_depth_m: float = 6.0,
+        self,
+        folder: str | Path,
+        *,
+        step: int = 10,
+        max_depth_m: float = 6.0,
         voxel_size_m: float = 0.05,
-    ) -> None:  # fmt: skip
+    ) -> None:
         folder = Path(folder)
         self.files = natsorted(folder.glob('frame-*.depth.png'))
         if not self.files:

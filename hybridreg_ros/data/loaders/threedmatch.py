@@ -82,9 +82,14 @@ class ThreeDMatch:
     """
 
     def __init__(
-        self, truth: str | Path, clouds: str | Path | None = None, *,
-        pattern: str = 'cloud_bin_{}', voxel_size_m: float = 0.05, neighbours: bool = True,
-    ) -> None:  # fmt: skip
+        self,
+        truth: str | Path,
+        clouds: str | Path | None = None,
+        *,
+        pattern: str = 'cloud_bin_{}',
+        voxel_size_m: float = 0.05,
+        neighbours: bool = True,
+    ) -> None:
         self.truth = Path(truth)
         self.clouds = Path(clouds) if clouds is not None else self.truth
         self.pattern, self.voxel_size_m = pattern, voxel_size_m
@@ -109,10 +114,13 @@ class ThreeDMatch:
         entry = self.entries[index]
         what = f'{self.truth.name}-{entry.target}_{entry.source}'
         return recorded_pair(
-            read_cloud(self._file(entry.source)), read_cloud(self._file(entry.target)),
-            rigid(entry.matrix, what), self.voxel_size_m, what,
+            read_cloud(self._file(entry.source)),
+            read_cloud(self._file(entry.target)),
+            rigid(entry.matrix, what),
+            self.voxel_size_m,
+            what,
             thin_m=0.4 * self.voxel_size_m,
-        )  # fmt: skip
+        )
 
     def _file(self, number: int) -> Path:
         stem = self.pattern.format(number)

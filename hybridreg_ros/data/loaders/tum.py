@@ -47,9 +47,14 @@ class TumRgbd(FramePairs):
     """
 
     def __init__(
-        self, folder: str | Path, *, step: int = 10, max_gap_s: float = 0.02,
-        max_depth_m: float = 6.0, voxel_size_m: float = 0.05,
-    ) -> None:  # fmt: skip
+        self,
+        folder: str | Path,
+        *,
+        step: int = 10,
+        max_gap_s: float = 0.02,
+        max_depth_m: float = 6.0,
+        voxel_size_m: float = 0.05,
+    ) -> None:
         folder = Path(folder)
         times, names = _depth_list(folder / 'depth.txt')
         truth = read_numbers(folder / 'groundtruth.txt', 8)

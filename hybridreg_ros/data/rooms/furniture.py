@@ -62,8 +62,11 @@ def _legs(rng: np.random.Generator, w: float, d: float, h: float) -> list[Mesh]:
     if kind == 1:
         return [shapes.box([0.04, 2 * y, h], [sx * x, 0, 0.5 * h]) for sx in (-1, 1)]
     if kind == 2:
-        bars = [shapes.tube([[sx * x, sy * y, 0], [sx * x, 0, h]], 0.025) for sx in (-1, 1)
-                for sy in (-1, 1)]  # fmt: skip
+        bars = [
+            shapes.tube([[sx * x, sy * y, 0], [sx * x, 0, h]], 0.025)
+            for sx in (-1, 1)
+            for sy in (-1, 1)
+        ]
         return [*bars, shapes.box([2 * x, 0.03, 0.06], [0, 0, 0.5 * h])]
     profile = shapes.random_profile(rng, rng.uniform(0.06, 0.2), h)
     foot = shapes.cylinder(rng.uniform(0.2, 0.35), rng.uniform(0.02, 0.06))
@@ -155,8 +158,10 @@ def sofa(rng: np.random.Generator) -> Piece:
     each, d = rng.uniform(0.55, 0.75), rng.uniform(0.75, 1.0)
     w, base, soft = seats * each, rng.uniform(0.2, 0.34), rng.uniform(0.15, 0.6)
     arm_w, back_h, arm_h = (
-        rng.uniform(0.08, 0.25), rng.uniform(0.65, 1.0), rng.uniform(0.48, 0.7),
-    )  # fmt: skip
+        rng.uniform(0.08, 0.25),
+        rng.uniform(0.65, 1.0),
+        rng.uniform(0.48, 0.7),
+    )
     parts = [shapes.box([w, d, base - 0.06], [0, 0, 0.03 + 0.5 * base])]
     for k in range(seats):
         x = (k - 0.5 * (seats - 1)) * each

@@ -119,9 +119,14 @@ def kitchen(rng: np.random.Generator) -> Piece:
                 parts.append(shapes.box([w / n - 0.01, 0.34, tall], place))
     if rng.random() < 0.5:
         place = [rng.uniform(-0.3, 0.3) * w, -0.1, 1.35]
-        parts.append(moved(shapes.extrusion(
-            [[-0.3, -0.2], [0.3, -0.2], [0.3, 0.25], [-0.3, 0.25]], 0.35, top_scale=0.35
-        ), place))  # fmt: skip
+        parts.append(
+            moved(
+                shapes.extrusion(
+                    [[-0.3, -0.2], [0.3, -0.2], [0.3, 0.25], [-0.3, 0.25]], 0.35, top_scale=0.35
+                ),
+                place,
+            )
+        )
     return Piece(merge(parts), (Surface(0, 0.02, h, 0.92 * w, 0.7 * d, 0.4),), wall=True)
 
 

@@ -64,8 +64,16 @@ class Path:
         return transform(rot_z(self.yaw_rad + turn), self.at + np.array([x, y, z]))
 
 
-def set_stage(rng: np.random.Generator, room: Room, *, people: int, animals: int = 0,
-              flying: int = 0, shifted: int = 0, reach_m: float = 3.0) -> Stage:  # fmt: skip
+def set_stage(
+    rng: np.random.Generator,
+    room: Room,
+    *,
+    people: int,
+    animals: int = 0,
+    flying: int = 0,
+    shifted: int = 0,
+    reach_m: float = 3.0,
+) -> Stage:
     """Let things happen in a room.
 
     Args:

@@ -107,10 +107,16 @@ class DepthCamera:
         w, h = round(self.width / step), round(self.height / step)
         sx, sy = w / self.width, h / self.height
         return DepthCamera(
-            w, h, self.fx * sx, self.fy * sy,
-            (self.cx + 0.5) * sx - 0.5, (self.cy + 0.5) * sy - 0.5,
-            self.min_depth_m, self.max_depth_m, self.noise,
-        )  # fmt: skip
+            w,
+            h,
+            self.fx * sx,
+            self.fy * sy,
+            (self.cx + 0.5) * sx - 0.5,
+            (self.cy + 0.5) * sy - 0.5,
+            self.min_depth_m,
+            self.max_depth_m,
+            self.noise,
+        )
 
     @cached_property
     def rays(self) -> F64:
@@ -237,11 +243,14 @@ def random_camera(rng: np.random.Generator) -> DepthCamera:
         seed=int(rng.integers(2**31)),
     )
     return DepthCamera(
-        fx=f, fy=f * rng.uniform(0.98, 1.02),
-        cx=319.5 + rng.normal(0.0, 6.0), cy=239.5 + rng.normal(0.0, 6.0),
-        min_depth_m=float(rng.uniform(0.2, 0.7)), max_depth_m=float(rng.uniform(3.5, 8.0)),
+        fx=f,
+        fy=f * rng.uniform(0.98, 1.02),
+        cx=319.5 + rng.normal(0.0, 6.0),
+        cy=239.5 + rng.normal(0.0, 6.0),
+        min_depth_m=float(rng.uniform(0.2, 0.7)),
+        max_depth_m=float(rng.uniform(3.5, 8.0)),
         noise=noise,
-    )  # fmt: skip
+    )
 
 
 def _range3(z: F32) -> tuple[F32, F32]:

@@ -138,15 +138,21 @@ class SpinningLidar:
         instance = np.where(lost, 0, instance).astype(np.uint16)
         label = caster.labels(instance)
         T_start = np.einsum('ij,wjk->wik', se3.inverse(T_world[0]), T_world)
-        true = np.einsum(
-            'wij,hwj->hwi', T_start[:, :3, :3], rays * distance[..., None]
-        ) + T_start[:, :3, 3]  # fmt: skip
+        true = (
+            np.einsum('wij,hwj->hwi', T_start[:, :3, :3], rays * distance[..., None])
+            + T_start[:, :3, 3]
+        )
         measured = self._measured(rng, distance)
         return LidarScan(
-            rays * measured[..., None], times, true.astype(np.float32),
-            label, np.where(label > 0, instance, np.uint16(0)), instance > 0,
-            np.where(lost, -1, face), T_start,
-        )  # fmt: skip
+            rays * measured[..., None],
+            times,
+            true.astype(np.float32),
+            label,
+            np.where(label > 0, instance, np.uint16(0)),
+            instance > 0,
+            np.where(lost, -1, face),
+            T_start,
+        )
 
     def _range_sigma_m(self, range_m: F32) -> F32:
         """Standard deviation of the random error of ranges."""
@@ -160,9 +166,16 @@ class SpinningLidar:
         return sigma
 
     def _lost(
-        self, rng: np.random.Generator, distance: F32, normal: F32, d: F32, o: NDArray[np.float32],
-        face: NDArray[np.int32], instance: NDArray[np.uint16], loss: F32 | None,
-    ) -> NDArray[np.bool_]:  # fmt: skip
+        self,
+        rng: np.random.Generator,
+        distance: F32,
+        normal: F32,
+        d: F32,
+        o: NDArray[np.float32],
+        face: NDArray[np.int32],
+        instance: NDArray[np.uint16],
+        loss: F32 | None,
+    ) -> NDArray[np.bool_]:
         """Which rays give no return: out of range, too dark, too oblique, glass, or by chance."""
         lost = ~((distance > self.range_m[0]) & (distance < self.range_m[1]))
         far = np.where(lost, 0.0, distance)
@@ -237,9 +250,15 @@ def make_lidar(model: str, *, columns: int | None = None, seed: int = 0) -> Spin
     elevation = np.array(table.elevation_deg)
     offset = np.resize(np.array(table.offset_deg), len(elevation))
     return SpinningLidar(
-        elevation, offset, columns or table.columns, range_m=table.range_m,
-        noise_m=table.noise_m, reach_m=table.reach_m, clockwise=table.clockwise, seed=seed,
-    )  # fmt: skip
+        elevation,
+        offset,
+        columns or table.columns,
+        range_m=table.range_m,
+        noise_m=table.noise_m,
+        reach_m=table.reach_m,
+        clockwise=table.clockwise,
+        seed=seed,
+    )
 
 
 def random_lidar(

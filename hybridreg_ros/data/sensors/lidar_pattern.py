@@ -58,16 +58,28 @@ def _triangle(turns: F64) -> F64:
 def rosette(rng: np.random.Generator) -> PatternLidar:
     """Six beams on prisms: about 70 by 25 degrees, 24,000 rays a scan."""
     return PatternLidar(
-        np.linspace(1.3, -1.3, 6), np.zeros(6), 4000, range_m=(1.0, 150.0), noise_m=0.015,
-        reach_m=80.0, swing_deg=(float(rng.uniform(33.0, 37.0)), float(rng.uniform(10.0, 12.0))),
-        swing_hz=(211.0 + _GOLDEN, 89.0 - 0.7 * _GOLDEN), seed=int(rng.integers(2**31)),
-    )  # fmt: skip
+        np.linspace(1.3, -1.3, 6),
+        np.zeros(6),
+        4000,
+        range_m=(1.0, 150.0),
+        noise_m=0.015,
+        reach_m=80.0,
+        swing_deg=(float(rng.uniform(33.0, 37.0)), float(rng.uniform(10.0, 12.0))),
+        swing_hz=(211.0 + _GOLDEN, 89.0 - 0.7 * _GOLDEN),
+        seed=int(rng.integers(2**31)),
+    )
 
 
 def raster(rng: np.random.Generator) -> PatternLidar:
     """Five lasers side by side on a mirror: 120 by 25 degrees, 78,000 rays a scan."""
     return PatternLidar(
-        np.zeros(5), np.linspace(48.0, -48.0, 5), 15_600, range_m=(0.5, 150.0), noise_m=0.02,
-        reach_m=80.0, swing_deg=(12.5, float(rng.uniform(12.0, 13.0))),
-        swing_hz=(630.0, 5.0 + 0.1 * _GOLDEN), seed=int(rng.integers(2**31)),
-    )  # fmt: skip
+        np.zeros(5),
+        np.linspace(48.0, -48.0, 5),
+        15_600,
+        range_m=(0.5, 150.0),
+        noise_m=0.02,
+        reach_m=80.0,
+        swing_deg=(12.5, float(rng.uniform(12.0, 13.0))),
+        swing_hz=(630.0, 5.0 + 0.1 * _GOLDEN),
+        seed=int(rng.integers(2**31)),
+    )

@@ -70,9 +70,13 @@ def _descend(steps: NDArray[np.int32], cell: tuple[int, int]) -> list[tuple[int,
 
 
 def walk(
-    rng: np.random.Generator, floor: FloorGrid, free: NDArray[np.bool_], around: F64,
-    reach_m: tuple[float, float], length_m: float,
-) -> F64 | None:  # fmt: skip
+    rng: np.random.Generator,
+    floor: FloorGrid,
+    free: NDArray[np.bool_],
+    around: F64,
+    reach_m: tuple[float, float],
+    length_m: float,
+) -> F64 | None:
     """A smooth path over free cells, 5 cm steps; None when there is no room to walk.
 
     Args:
@@ -134,9 +138,13 @@ def at_speed(path: F64, speed_mps: float, times_s: F64) -> F64:
 
 
 def choose_gaze(
-    caster: Caster, places: F64, times_s: F64, pitch_rad: float,
-    range_m: tuple[float, float], wanted: tuple[float, float],
-) -> tuple[F64, float]:  # fmt: skip
+    caster: Caster,
+    places: F64,
+    times_s: F64,
+    pitch_rad: float,
+    range_m: tuple[float, float],
+    wanted: tuple[float, float],
+) -> tuple[F64, float]:
     """Yaw of the camera at each place: sees structure and the wanted movers, turns gently.
 
     The best sequence of 15 degree steps by dynamic programming, one step a place at most.

@@ -99,9 +99,15 @@ def _room_frames(
         image = walk_.camera.render(walk_.caster, float(time_s), T, rng, loss=walk_.loss)
         points = walk_.camera.points(image.depth).reshape(-1, 3)
         yield SimulatedFrame(
-            points, (walk_.camera.height, walk_.camera.width), None, float(time_s), T,
-            image.label.reshape(-1), image.instance.reshape(-1), CAMERA_FRAME,
-        )  # fmt: skip
+            points,
+            (walk_.camera.height, walk_.camera.width),
+            None,
+            float(time_s),
+            T,
+            image.label.reshape(-1),
+            image.instance.reshape(-1),
+            CAMERA_FRAME,
+        )
 
 
 def plan_walk(times: F64, seed: int, dynamic: str, size: tuple[int, int]) -> Walk:
@@ -149,19 +155,27 @@ def _try_walk(
     caster = Caster(stage.scene)
     camera = _carried(rng, size)
     return Walk(
-        caster, camera,
+        caster,
+        camera,
         *_poses(rng, caster, camera, at_speed(path, speed, times), times, height, SHARES[dynamic]),
         stage.background.loss,
-    )  # fmt: skip
+    )
 
 
 def _carried(rng: np.random.Generator, size: tuple[int, int]) -> DepthCamera:
     """A usual depth camera with usual noise."""
     noise = DepthNoise(
-        base_m=0.001, quadratic=float(rng.uniform(0.0008, 0.0018)), disparity=1500.0,
-        warp=float(rng.uniform(0.0, 0.002)), grazing=0.15, edge_loss=0.4, flying=0.02,
-        ragged=0.2, patchy=0.01, seed=int(rng.integers(2**31)),
-    )  # fmt: skip
+        base_m=0.001,
+        quadratic=float(rng.uniform(0.0008, 0.0018)),
+        disparity=1500.0,
+        warp=float(rng.uniform(0.0, 0.002)),
+        grazing=0.15,
+        edge_loss=0.4,
+        flying=0.02,
+        ragged=0.2,
+        patchy=0.01,
+        seed=int(rng.integers(2**31)),
+    )
     full = DepthCamera(min_depth_m=0.3, max_depth_m=6.0, noise=noise)
     camera = full.strided(640 / size[0])
     if camera.height != size[1]:
@@ -170,9 +184,14 @@ def _carried(rng: np.random.Generator, size: tuple[int, int]) -> DepthCamera:
 
 
 def _poses(
-    rng: np.random.Generator, caster: Caster, camera: DepthCamera, places: F64, times: F64,
-    height: float, wanted: tuple[float, float],
-) -> tuple[F64, float]:  # fmt: skip
+    rng: np.random.Generator,
+    caster: Caster,
+    camera: DepthCamera,
+    places: F64,
+    times: F64,
+    height: float,
+    wanted: tuple[float, float],
+) -> tuple[F64, float]:
     """Poses (N, 4, 4) along places (N, 2), and the expected share of moving points."""
     pitch = float(rng.uniform(-0.35, -0.1))
     every = np.arange(0.0, times[-1] + 0.5, 0.5)

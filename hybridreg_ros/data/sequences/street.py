@@ -67,8 +67,10 @@ def street_frames(
     drive = _plan(times, travel, rate_hz, seed, dynamic, columns)
     _LOG.info(
         'street of seed %d: %s, about %.0f %% moving points',
-        seed, drive.world.kind, 100.0 * drive.share,
-    )  # fmt: skip
+        seed,
+        drive.world.kind,
+        100.0 * drive.share,
+    )
     return _frames(drive, times, seed)
 
 
@@ -79,9 +81,15 @@ def _frames(drive: _Drive, times: F64, seed: int) -> Iterator[SimulatedFrame]:
         scan = lidar.scan(drive.caster, time_s, path.pose_at, rng, loss=drive.world.loss)
         rings, columns = scan.label.shape
         yield SimulatedFrame(
-            scan.points.reshape(-1, 3), (rings, columns), np.tile(scan.times, rings), time_s,
-            path.pose_at(time_s), scan.label.reshape(-1), scan.instance.reshape(-1), LIDAR_FRAME,
-        )  # fmt: skip
+            scan.points.reshape(-1, 3),
+            (rings, columns),
+            np.tile(scan.times, rings),
+            time_s,
+            path.pose_at(time_s),
+            scan.label.reshape(-1),
+            scan.instance.reshape(-1),
+            LIDAR_FRAME,
+        )
 
 
 def _plan(

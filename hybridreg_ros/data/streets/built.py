@@ -87,14 +87,17 @@ def front(rng: np.random.Generator, length_m: float, floors: int) -> Collection:
         strips = [(low, bottom), (head, high)]
         for a, b in strips:
             if b - a > 0.02:
-                made.add(box((length_m, thick, b - a), (0.5 * length_m, -0.5 * thick,
-                         0.5 * (a + b))), plane=1)  # fmt: skip
+                made.add(
+                    box((length_m, thick, b - a), (0.5 * length_m, -0.5 * thick, 0.5 * (a + b))),
+                    plane=1,
+                )
         pier = bay - wide
         edges = np.concatenate([[0.5 * pier / 2], x[:-1] + 0.5 * bay, [length_m - 0.25 * pier]])
         widths = np.concatenate([[0.5 * pier], np.full(bays - 1, pier), [0.5 * pier]])
         size = np.stack([widths, np.full(bays + 1, thick), np.full(bays + 1, head - bottom)], 1)
-        centre = np.stack([edges, np.full(bays + 1, -0.5 * thick),
-                           np.full(bays + 1, 0.5 * (bottom + head))], 1)  # fmt: skip
+        centre = np.stack(
+            [edges, np.full(bays + 1, -0.5 * thick), np.full(bays + 1, 0.5 * (bottom + head))], 1
+        )
         made.add(boxes(size, centre), plane=1)
         blind = rng.random(bays) < 0.15
         for k in range(bays):
@@ -109,15 +112,24 @@ def front(rng: np.random.Generator, length_m: float, floors: int) -> Collection:
 
 
 def _ornament(
-    rng: np.random.Generator, made: Collection, x: F64, wide: float, levels: F64, tops: F64,
+    rng: np.random.Generator,
+    made: Collection,
+    x: F64,
+    wide: float,
+    levels: F64,
+    tops: F64,
     length: float,
-) -> None:  # fmt: skip
+) -> None:
     """Sills, balconies, bays, awnings, pipes, cornices, boxes: what makes fronts differ."""
     n = len(x)
     for low in levels[1:]:
         if rng.random() < 0.6:
-            made.add(boxes(np.tile([wide + 0.2, 0.25, 0.07], (n, 1)),
-                     np.stack([x, np.full(n, 0.08), np.full(n, low + 0.45)], 1)))  # fmt: skip
+            made.add(
+                boxes(
+                    np.tile([wide + 0.2, 0.25, 0.07], (n, 1)),
+                    np.stack([x, np.full(n, 0.08), np.full(n, low + 0.45)], 1),
+                )
+            )
         for k in np.nonzero(rng.random(n) < 0.3)[0] if rng.random() < 0.6 else ():
             out, w = rng.uniform(0.5, 1.5), wide + rng.uniform(0.2, 1.0)
             made.add(box((w, out, 0.15), (x[k], 0.5 * out, low)))
@@ -133,13 +145,17 @@ def _ornament(
     if rng.random() < 0.4:
         slope, high = rng.uniform(0.8, 1.8), rng.uniform(2.3, 2.9)
         a, b = sorted(rng.uniform(0.0, length, 2))
-        corners = np.array([[[a, 0, high + 0.5], [a, slope, high]],
-                            [[b, 0, high + 0.5], [b, slope, high]]])  # fmt: skip
+        corners = np.array(
+            [[[a, 0, high + 0.5], [a, slope, high]], [[b, 0, high + 0.5], [b, slope, high]]]
+        )
         made.add(grid(corners))
     for p in rng.uniform(0.0, length, int(rng.integers(0, 4))):
         made.add(tube([[p, 0.1, 0.0], [p, 0.1, tops[-1]]], 0.06, 6))
-    made.add(box((length, rng.uniform(0.1, 0.5), rng.uniform(0.15, 0.5)),
-             (0.5 * length, 0.15, tops[-1])))  # fmt: skip
+    made.add(
+        box(
+            (length, rng.uniform(0.1, 0.5), rng.uniform(0.15, 0.5)), (0.5 * length, 0.15, tops[-1])
+        )
+    )
     for _ in range(int(rng.integers(0, 5))):
         size = rng.uniform([0.3, 0.15, 0.3], [1.6, 0.5, 1.0])
         made.add(box(size, (rng.uniform(0, length), 0.5 * size[1], rng.uniform(1.2, tops[-1]))))
@@ -155,8 +171,9 @@ def building(rng: np.random.Generator, length_m: float) -> Collection:
     made.add(body, plane=1)
     for side in (0.0, length_m):
         count = int(rng.integers(0, 6))
-        for y, z in zip(rng.uniform(-deep, -1.0, count), rng.uniform(0.8, top - 0.8, count),
-                        strict=True):  # fmt: skip
+        for y, z in zip(
+            rng.uniform(-deep, -1.0, count), rng.uniform(0.8, top - 0.8, count), strict=True
+        ):
             made.add(box((0.2, rng.uniform(0.5, 1.5), rng.uniform(0.5, 1.6)), (side, y, z)))
     if rng.random() < 0.7:
         ridge, eave = top + rng.uniform(1.5, 4.5), rng.uniform(0.1, 0.7)
@@ -179,8 +196,10 @@ def wall(rng: np.random.Generator, length_m: float) -> Mesh:
     style = rng.choice(['solid', 'slats', 'rails', 'bars'])
     posts = np.arange(0.0, length_m + 0.01, rng.uniform(1.5, 3.2))
     one = np.ones(len(posts))
-    post = boxes(np.stack([0.1 * one, 0.1 * one, (tall + 0.1) * one], 1),
-                 np.stack([posts, 0.0 * one, 0.5 * tall * one], 1))  # fmt: skip
+    post = boxes(
+        np.stack([0.1 * one, 0.1 * one, (tall + 0.1) * one], 1),
+        np.stack([posts, 0.0 * one, 0.5 * tall * one], 1),
+    )
     if style == 'solid':
         thick = rng.uniform(0.12, 0.4)
         cap = box((length_m, thick + 0.1, 0.08), (0.5 * length_m, 0.0, tall))
@@ -211,8 +230,10 @@ def rack(rng: np.random.Generator, length_m: float) -> Mesh:
         zig = np.stack([np.full(6, x), np.where(np.arange(6) % 2, 0.5, -0.5) * deep, z], 1)
         parts.append(tube(zig, 0.025, 4))
     for z in levels:
-        parts += [box((bay * bays, 0.05, 0.13), (0.5 * bay * bays, y, z))
-                  for y in (-0.5 * deep, 0.5 * deep)]  # fmt: skip
+        parts += [
+            box((bay * bays, 0.05, 0.13), (0.5 * bay * bays, y, z))
+            for y in (-0.5 * deep, 0.5 * deep)
+        ]
     sizes, centres = [], []
     for z in np.concatenate([[0.0], levels]):
         x = 0.15
@@ -242,17 +263,26 @@ def pole(rng: np.random.Generator) -> Mesh:
         tall, arm = rng.uniform(3.5, 9.0), rng.uniform(0.0, 2.0)
         path = np.array([[0, 0, 0], [0, 0, 0.8], [0.2, 0, 0.95], [1.0, 0, 1.0]])
         path = path * [arm, 0.0, tall]
-        return merge([tube(path, [1.4 * r, r, 0.7 * r, 0.6 * r], 8),
-                      box((0.5, 0.25, 0.15), (arm, 0, tall)),
-                      box((0.3, 0.3, 0.6), (0, 0, 0.3))])  # fmt: skip
+        return merge(
+            [
+                tube(path, [1.4 * r, r, 0.7 * r, 0.6 * r], 8),
+                box((0.5, 0.25, 0.15), (arm, 0, tall)),
+                box((0.3, 0.3, 0.6), (0, 0, 0.3)),
+            ]
+        )
     if style == 'sign':
         tall = rng.uniform(1.9, 3.0)
         plate = box(rng.uniform([0.02, 0.4, 0.3], [0.05, 1.0, 0.9]), (r, 0, tall - 0.3))
         turn = rot_z(rng.uniform(0.0, 2.0 * np.pi))
         return moved(merge([cylinder(0.04, tall, 8), plate]), R=turn)
     if style == 'light':
-        return merge([cylinder(0.07, 3.2, 8), box((0.3, 0.3, 0.9), (0.25, 0, 2.6)),
-                      box((0.25, 0.3, 0.5), (-0.2, 0, 1.4))])  # fmt: skip
+        return merge(
+            [
+                cylinder(0.07, 3.2, 8),
+                box((0.3, 0.3, 0.9), (0.25, 0, 2.6)),
+                box((0.25, 0.3, 0.5), (-0.2, 0, 1.4)),
+            ]
+        )
     tall = rng.uniform(6.0, 9.0)
     arms = [box((0.1, 1.8, 0.1), (0, 0, tall - k)) for k in (0.4, 1.0)]
     stem = np.array([[0.0, 0.0, 0.0], [*rng.normal(0.0, 0.15, 2), tall]])

@@ -84,9 +84,13 @@ class Builder:
         self.made.add(moved(mesh, place, rot_z(heading + yaw)))
 
     def scatter(
-        self, make: Callable[[np.random.Generator], Mesh], per_m: float,
-        band: tuple[float, float], *, kinds: int = 6,
-    ) -> None:  # fmt: skip
+        self,
+        make: Callable[[np.random.Generator], Mesh],
+        per_m: float,
+        band: tuple[float, float],
+        *,
+        kinds: int = 6,
+    ) -> None:
         """Strew things over a band, `per_m` of them on each metre of the centre line."""
         count = int(self.rng.poisson(per_m * self.terrain.centre.length_m))
         pool = [make(self.rng) for _ in range(min(kinds, count))]
@@ -94,14 +98,22 @@ class Builder:
             mesh = pool[self.rng.integers(len(pool))]
             size = self.rng.uniform(0.8, 1.25, 3)
             self.put(
-                moved(mesh, scale=size), self.rng.uniform(0.0, self.terrain.centre.length_m),
-                self.rng.uniform(*band), self.rng.uniform(0.0, 2.0 * np.pi),
-            )  # fmt: skip
+                moved(mesh, scale=size),
+                self.rng.uniform(0.0, self.terrain.centre.length_m),
+                self.rng.uniform(*band),
+                self.rng.uniform(0.0, 2.0 * np.pi),
+            )
 
     def row(
-        self, make: Callable[[np.random.Generator], Mesh], every: tuple[float, float], d: float,
-        *, keep: float = 1.0, yaw: float = 0.0, jitter: float = 0.15,
-    ) -> None:  # fmt: skip
+        self,
+        make: Callable[[np.random.Generator], Mesh],
+        every: tuple[float, float],
+        d: float,
+        *,
+        keep: float = 1.0,
+        yaw: float = 0.0,
+        jitter: float = 0.15,
+    ) -> None:
         """A row of things at about regular distances."""
         s = self.rng.uniform(0.0, every[1])
         while s < self.terrain.centre.length_m:
@@ -149,8 +161,10 @@ class Builder:
         """Parked vehicles along or across the centre line."""
         s = self.rng.uniform(0.0, 4.0)
         kinds = ('car', 'van', 'lorry')
-        pool = [vehicles.make_vehicle(self.rng, str(self.rng.choice(kinds, p=[0.8, 0.17, 0.03])))
-                for _ in range(10)]  # fmt: skip
+        pool = [
+            vehicles.make_vehicle(self.rng, str(self.rng.choice(kinds, p=[0.8, 0.17, 0.03])))
+            for _ in range(10)
+        ]
         while s < self.terrain.centre.length_m:
             mesh = pool[self.rng.integers(len(pool))]
             size = np.ptp(mesh.vertices, axis=0)
@@ -228,8 +242,14 @@ def car_park(rng: np.random.Generator, length_m: float) -> Layout:
 def park(rng: np.random.Generator, length_m: float) -> Layout:
     """A path through grass, trees, bushes, benches, rocks, now and then a house or a wall."""
     path = rng.uniform(1.2, 2.8)
-    profile = [(-60, rng.uniform(-1, 3)), (-9, 0.1), (-path, 0.03), (path, 0.03), (9, 0.1),
-               (60, rng.uniform(-1, 3))]  # fmt: skip
+    profile = [
+        (-60, rng.uniform(-1, 3)),
+        (-9, 0.1),
+        (-path, 0.03),
+        (path, 0.03),
+        (9, 0.1),
+        (60, rng.uniform(-1, 3)),
+    ]
     line = centre_line(rng, length_m, rng.uniform(0.05, 0.2))
     b = Builder(rng, make_terrain(rng, line, profile, wild=rng.uniform(1.0, 2.2)))
     for sign in (1.0, -1.0):
@@ -298,6 +318,9 @@ def square(rng: np.random.Generator, length_m: float) -> Layout:
 
 
 LAYOUTS: dict[str, Callable[[np.random.Generator, float], Layout]] = {
-    'street': street, 'car_park': car_park, 'park': park, 'warehouse': warehouse,
+    'street': street,
+    'car_park': car_park,
+    'park': park,
+    'warehouse': warehouse,
     'square': square,
-}  # fmt: skip
+}

@@ -151,8 +151,10 @@ def _height(rng: np.random.Generator, *, fast: bool) -> float:
 
 def _shake(rng: np.random.Generator, *, fast: bool) -> F64:
     """Small motions (6, 3) of the body that carries the sensor."""
-    size = np.array([0.01, 0.01, 0.015, 0.008, 0.008, 0.004]) if fast else np.array(
-        [0.02, 0.025, 0.02, 0.02, 0.02, 0.03]
-    )  # fmt: skip
+    size = (
+        np.array([0.01, 0.01, 0.015, 0.008, 0.008, 0.004])
+        if fast
+        else np.array([0.02, 0.025, 0.02, 0.02, 0.02, 0.03])
+    )
     rate = rng.uniform(1.5, 9.0, 6)
     return np.stack([size * rng.uniform(0.3, 1.2, 6), rate, rng.uniform(0.0, 6.3, 6)], axis=1)

@@ -52,8 +52,18 @@ def passers(rng: np.random.Generator, layout: Layout, ride: Ride) -> list[Unit]:
         way = _way(rng, layout, ride, float(rng.uniform(0.6, 2.5)))
         place, heading = way.at(0.0)
         start = np.array([*place, layout.terrain.height(*place)])
-        units.append((make_animal(rng, start, heading, activity=str(rng.choice(['walk', 'trot'])),
-                                  track=way, ground=layout.terrain.height),))  # fmt: skip
+        units.append(
+            (
+                make_animal(
+                    rng,
+                    start,
+                    heading,
+                    activity=str(rng.choice(['walk', 'trot'])),
+                    track=way,
+                    ground=layout.terrain.height,
+                ),
+            )
+        )
     return units + _vehicles(rng, layout, ride)
 
 
@@ -64,24 +74,42 @@ def _ahead(rng: np.random.Generator, low_m: float = 3.0, high_m: float = 35.0) -
 
 
 def _way(
-    rng: np.random.Generator, layout: Layout, ride: Ride, speed_mps: float,
+    rng: np.random.Generator,
+    layout: Layout,
+    ride: Ride,
+    speed_mps: float,
     ahead_m: float | None = None,
-) -> Accompanying:  # fmt: skip
+) -> Accompanying:
     offset = clear_offset(rng, layout.walks, ride.offset_m, 1.0)
     weave = (float(rng.uniform(0.0, 0.15)), float(rng.uniform(2.0, 8.0)), float(rng.uniform(0, 6)))
     sign = 1.0 if rng.random() < 0.5 else -1.0
     ahead = _ahead(rng) if ahead_m is None else ahead_m
-    return Accompanying(layout.terrain, offset, ahead, sign * speed_mps, ride.start_m,
-                        ride.speed_mps, _REACH_M, weave)  # fmt: skip
+    return Accompanying(
+        layout.terrain,
+        offset,
+        ahead,
+        sign * speed_mps,
+        ride.start_m,
+        ride.speed_mps,
+        _REACH_M,
+        weave,
+    )
 
 
 def _walker(rng: np.random.Generator, layout: Layout, way: Accompanying, rigs: list[Rig]) -> Mover:
     place, heading = way.at(0.0)
     start = np.array([*place, layout.terrain.height(*place)])
     speed = abs(way.speed_mps)
-    return make_human(rng, start, heading, activity='walk' if speed < 2.2 else 'run', track=way,
-                      speed_mps=speed, ground=layout.terrain.height,
-                      rig=rigs[rng.integers(len(rigs))])  # fmt: skip
+    return make_human(
+        rng,
+        start,
+        heading,
+        activity='walk' if speed < 2.2 else 'run',
+        track=way,
+        speed_mps=speed,
+        ground=layout.terrain.height,
+        rig=rigs[rng.integers(len(rigs))],
+    )
 
 
 def _walking(rng: np.random.Generator, layout: Layout, ride: Ride, rigs: list[Rig]) -> list[Unit]:
@@ -93,9 +121,15 @@ def _walking(rng: np.random.Generator, layout: Layout, ride: Ride, rigs: list[Ri
     for k in range(count):
         beside, behind = 0.6 * (k % 2) + rng.normal(0.0, 0.1), 0.9 * (k // 2)
         way = Accompanying(
-            lead.terrain, lead.offset_m + beside, lead.ahead_m - behind, lead.speed_mps,
-            ride.start_m, ride.speed_mps, _REACH_M, lead.weave,
-        )  # fmt: skip
+            lead.terrain,
+            lead.offset_m + beside,
+            lead.ahead_m - behind,
+            lead.speed_mps,
+            ride.start_m,
+            ride.speed_mps,
+            _REACH_M,
+            lead.weave,
+        )
         units.append((_walker(rng, layout, way, rigs),))
     return units
 
@@ -107,11 +141,18 @@ def _pausing(rng: np.random.Generator, layout: Layout, ride: Ride, rigs: list[Ri
     units: list[Unit] = []
     for k in range(int(rng.integers(1, 4))):
         place, heading = layout.terrain.at(s + 0.8 * k, d + float(rng.normal(0.0, 0.2)))
-        units.append((
-            make_human(rng, place, heading + rng.uniform(0.0, 6.3),
-                       activity=str(rng.choice(_PAUSING)), ground=layout.terrain.height,
-                       rig=rigs[rng.integers(len(rigs))]),
-        ))  # fmt: skip
+        units.append(
+            (
+                make_human(
+                    rng,
+                    place,
+                    heading + rng.uniform(0.0, 6.3),
+                    activity=str(rng.choice(_PAUSING)),
+                    ground=layout.terrain.height,
+                    rig=rigs[rng.integers(len(rigs))],
+                ),
+            )
+        )
     return units
 
 
@@ -123,8 +164,16 @@ def _crossing(rng: np.random.Generator, layout: Layout, ride: Ride, rigs: list[R
     at = ride.offset_m + float(rng.uniform(-3.0, 3.0)) - sign * speed * when_s
     place, heading = layout.terrain.at(s, at)
     track = straight_track(place, heading + sign * 0.5 * np.pi + float(rng.normal(0.0, 0.3)))
-    return make_human(rng, place, 0.0, activity='walk', track=track, speed_mps=speed,
-                      ground=layout.terrain.height, rig=rigs[rng.integers(len(rigs))])  # fmt: skip
+    return make_human(
+        rng,
+        place,
+        0.0,
+        activity='walk',
+        track=track,
+        speed_mps=speed,
+        ground=layout.terrain.height,
+        rig=rigs[rng.integers(len(rigs))],
+    )
 
 
 def _cyclist(rng: np.random.Generator, layout: Layout, ride: Ride) -> Unit:
@@ -133,9 +182,14 @@ def _cyclist(rng: np.random.Generator, layout: Layout, ride: Ride) -> Unit:
     rider = human_rig(rng, load=False, coarse=True)
     if 2.0 < ride.speed_mps < 8.0 and rng.random() < 0.5:
         way = Accompanying(
-            layout.terrain, ride.offset_m + float(rng.uniform(-1.0, 0.8)),
-            float(rng.uniform(7.0, 25.0)), ride.speed_mps, ride.start_m, ride.speed_mps, _REACH_M,
-        )  # fmt: skip
+            layout.terrain,
+            ride.offset_m + float(rng.uniform(-1.0, 0.8)),
+            float(rng.uniform(7.0, 25.0)),
+            ride.speed_mps,
+            ride.start_m,
+            ride.speed_mps,
+            _REACH_M,
+        )
         speed = ride.speed_mps
     else:
         way = _way(rng, layout, ride, speed)
@@ -148,9 +202,15 @@ def _pushing(rng: np.random.Generator, layout: Layout, ride: Ride, rigs: list[Ri
     way = _way(rng, layout, ride, speed)
     behind = 1.0 if way.speed_mps > 0.0 else -1.0
     after = Accompanying(
-        way.terrain, way.offset_m, way.ahead_m - behind, way.speed_mps, ride.start_m,
-        ride.speed_mps, _REACH_M, way.weave,
-    )  # fmt: skip
+        way.terrain,
+        way.offset_m,
+        way.ahead_m - behind,
+        way.speed_mps,
+        ride.start_m,
+        ride.speed_mps,
+        _REACH_M,
+        way.weave,
+    )
     thing = vehicles_drive.drive(vehicles.cart(rng), way, speed, layout.terrain.height, 'cart')
     return thing, _walker(rng, layout, after, rigs)
 
@@ -166,9 +226,11 @@ def _vehicles(rng: np.random.Generator, layout: Layout, ride: Ride) -> list[Unit
         if any(lane == other and abs(ahead - place) < _GAP_M for other, place in used):
             continue
         used.append((lane, ahead))
-        kind = 'forklift' if layout.indoor else str(
-            rng.choice(['car', 'van', 'lorry', 'bus'], p=[0.66, 0.2, 0.09, 0.05])
-        )  # fmt: skip
+        kind = (
+            'forklift'
+            if layout.indoor
+            else str(rng.choice(['car', 'van', 'lorry', 'bus'], p=[0.66, 0.2, 0.09, 0.05]))
+        )
         top = 2.5 if layout.indoor else max(15.0, 1.25 * ride.speed_mps)
         speed = float(rng.uniform(0.15, 1.0)) * top
         if same:
@@ -179,7 +241,5 @@ def _vehicles(rng: np.random.Generator, layout: Layout, ride: Ride) -> list[Unit
             layout.terrain, lane, ahead, speed, ride.start_m, ride.speed_mps, _REACH_M
         )
         mesh = vehicles.make_vehicle(rng, kind)
-        units.append((
-            vehicles_drive.drive(mesh, way, abs(speed), layout.terrain.height, kind),
-        ))  # fmt: skip
+        units.append((vehicles_drive.drive(mesh, way, abs(speed), layout.terrain.height, kind),))
     return units

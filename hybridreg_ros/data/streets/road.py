@@ -26,10 +26,13 @@ def road(rng: np.random.Generator, length_m: float) -> Layout:
     edge = half + float(rng.uniform(0.4, 3.0))
     profile = [(0.0, 0.0), (half, -0.02 * half), (edge, -0.025 * edge)]
     left, right = (
-        [*profile, (edge + rng.uniform(2.0, 8.0), rng.uniform(-2.0, 2.5)),
-         (edge + 30.0, rng.uniform(-3.0, 5.0))]
+        [
+            *profile,
+            (edge + rng.uniform(2.0, 8.0), rng.uniform(-2.0, 2.5)),
+            (edge + 30.0, rng.uniform(-3.0, 5.0)),
+        ]
         for _ in range(2)
-    )  # fmt: skip
+    )
     line = centre_line(rng, length_m, rng.uniform(0.0, 0.08))
     section = [(-d, z) for d, z in reversed(right)] + left[1:]
     b = Builder(rng, make_terrain(rng, line, section, wild=rng.uniform(0.1, 0.5)))
@@ -65,8 +68,10 @@ def _beside(rng: np.random.Generator, b: Builder, sign: float, edge_m: float) ->
 def _rail(rng: np.random.Generator) -> Mesh:
     """Four metres of a crash rail along x from 0."""
     height = rng.uniform(0.6, 0.85)
-    return merge([
-        box((4.0, 0.06, 0.3), (2.0, 0.0, height)),
-        box((0.12, 0.1, height), (0.1, 0.08, 0.5 * height)),
-        box((0.12, 0.1, height), (2.1, 0.08, 0.5 * height)),
-    ])  # fmt: skip
+    return merge(
+        [
+            box((4.0, 0.06, 0.3), (2.0, 0.0, height)),
+            box((0.12, 0.1, height), (0.1, 0.08, 0.5 * height)),
+            box((0.12, 0.1, height), (2.1, 0.08, 0.5 * height)),
+        ]
+    )

@@ -104,11 +104,23 @@ def random_crowd(rng: np.random.Generator, low: float, high: float) -> Crowd:
         return Crowd(0, 0, 0, 0, 0, 20.0)
     if low < 0.25:
         near = float(rng.uniform(7.0, 18.0))
-        return Crowd(int(rng.integers(8, 24)), int(rng.integers(1, 6)), int(rng.integers(2, 8)),
-                     int(rng.integers(0, 5)), int(rng.integers(0, 3)), near)  # fmt: skip
+        return Crowd(
+            int(rng.integers(8, 24)),
+            int(rng.integers(1, 6)),
+            int(rng.integers(2, 8)),
+            int(rng.integers(0, 5)),
+            int(rng.integers(0, 3)),
+            near,
+        )
     near = float(rng.uniform(4.5, 9.0))
-    return Crowd(int(rng.integers(24, 52)), int(rng.integers(4, 12)), int(rng.integers(5, 12)),
-                 int(rng.integers(1, 6)), int(rng.integers(0, 5)), near)  # fmt: skip
+    return Crowd(
+        int(rng.integers(24, 52)),
+        int(rng.integers(4, 12)),
+        int(rng.integers(5, 12)),
+        int(rng.integers(1, 6)),
+        int(rng.integers(0, 5)),
+        near,
+    )
 
 
 def populate(
@@ -130,17 +142,30 @@ def populate(
         s, d = _free_spot(rng, layout, ride, crowd.near_m, spread_m)
         place, heading = layout.terrain.at(s, d)
         movers.append(
-            make_human(rng, place, heading + rng.uniform(0.0, 6.3),
-                       activity=str(rng.choice(_STAYING)), ground=layout.terrain.height,
-                       rig=rigs[rng.integers(len(rigs))])
-        )  # fmt: skip
+            make_human(
+                rng,
+                place,
+                heading + rng.uniform(0.0, 6.3),
+                activity=str(rng.choice(_STAYING)),
+                ground=layout.terrain.height,
+                rig=rigs[rng.integers(len(rigs))],
+            )
+        )
     movers += _traffic(rng, layout, ride, crowd)
     for _ in range(crowd.animals):
         way = _way(rng, layout, ride, crowd.near_m, rng.uniform(0.6, 2.0))
         place, heading = way.at(0.0)
         start = np.array([*place, layout.terrain.height(*place)])
-        movers.append(make_animal(rng, start, heading, activity=str(rng.choice(['walk', 'trot'])),
-                                  track=way, ground=layout.terrain.height))  # fmt: skip
+        movers.append(
+            make_animal(
+                rng,
+                start,
+                heading,
+                activity=str(rng.choice(['walk', 'trot'])),
+                track=way,
+                ground=layout.terrain.height,
+            )
+        )
     if rng.random() < 0.3 and crowd.people:
         s, d = _free_spot(rng, layout, ride, crowd.near_m, spread_m)
         place, heading = layout.terrain.at(s, d)
@@ -179,8 +204,16 @@ def _way(
     offset = clear_offset(rng, layout.walks, ride.offset_m, 0.95)
     sign = 1.0 if rng.random() < 0.5 else -1.0
     weave = (float(rng.uniform(0.0, 0.12)), float(rng.uniform(2.0, 8.0)), float(rng.uniform(0, 6)))
-    return Accompanying(layout.terrain, offset, float(rng.uniform(-near_m, near_m)), sign * speed,
-                        ride.start_m, ride.speed_mps, near_m, weave)  # fmt: skip
+    return Accompanying(
+        layout.terrain,
+        offset,
+        float(rng.uniform(-near_m, near_m)),
+        sign * speed,
+        ride.start_m,
+        ride.speed_mps,
+        near_m,
+        weave,
+    )
 
 
 def _walker(
@@ -190,9 +223,16 @@ def _walker(
     way = _way(rng, layout, ride, near_m, speed)
     place, heading = way.at(0.0)
     start = np.array([*place, layout.terrain.height(*place)])
-    return make_human(rng, start, heading, activity='walk' if speed < 2.0 else 'run', track=way,
-                      speed_mps=speed, ground=layout.terrain.height,
-                      rig=rigs[rng.integers(len(rigs))])  # fmt: skip
+    return make_human(
+        rng,
+        start,
+        heading,
+        activity='walk' if speed < 2.0 else 'run',
+        track=way,
+        speed_mps=speed,
+        ground=layout.terrain.height,
+        rig=rigs[rng.integers(len(rigs))],
+    )
 
 
 def _traffic(rng: np.random.Generator, layout: Layout, ride: Ride, crowd: Crowd) -> list[Mover]:
@@ -201,9 +241,11 @@ def _traffic(rng: np.random.Generator, layout: Layout, ride: Ride, crowd: Crowd)
     height = layout.terrain.height
     used: list[tuple[float, float]] = []
     for _ in range(crowd.vehicles):
-        kind = 'forklift' if layout.indoor else str(
-            rng.choice(['car', 'van', 'lorry', 'bus'], p=[0.55, 0.2, 0.15, 0.1])
-        )  # fmt: skip
+        kind = (
+            'forklift'
+            if layout.indoor
+            else str(rng.choice(['car', 'van', 'lorry', 'bus'], p=[0.55, 0.2, 0.15, 0.1]))
+        )
         lane = float(rng.choice(layout.lanes)) if layout.lanes else 0.0
         if not layout.lanes:
             break

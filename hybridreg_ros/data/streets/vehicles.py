@@ -53,8 +53,11 @@ def _wheels(
 ) -> list[Mesh]:
     width = rng.uniform(0.16, 0.3)
     wheel = moved(cylinder(radius, width, 14), (0.0, 0.5 * width, 0.0), rot_x(np.pi / 2.0))
-    return [moved(wheel, (x, side * (half - 0.5 * width), radius))
-            for x in axles for side in (1.0, -1.0)]  # fmt: skip
+    return [
+        moved(wheel, (x, side * (half - 0.5 * width), radius))
+        for x in axles
+        for side in (1.0, -1.0)
+    ]
 
 
 def _mirrors(x: float, half: float, z: float) -> list[Mesh]:
@@ -85,13 +88,17 @@ def _car(rng: np.random.Generator) -> Mesh:
     glass = tail + (0.15 if boot else 0.03) * length if roof_back < 0 else -0.08 * length
     tuck = rng.uniform(0.12, 0.28)
     low = 0.9 * bonnet
-    cabin = _hull(np.array([
-        [glass, 0.9 * half, low, bonnet + 0.02, 0.05],
-        [roof_back, 0.94 * half, low, tall - 0.04, tuck],
-        [0.5 * (roof_front + roof_back), 0.95 * half, low, tall, tuck],
-        [roof_front, 0.94 * half, low, tall - 0.03, tuck],
-        [screen, 0.9 * half, low, bonnet + 0.02, 0.05],
-    ]))  # fmt: skip
+    cabin = _hull(
+        np.array(
+            [
+                [glass, 0.9 * half, low, bonnet + 0.02, 0.05],
+                [roof_back, 0.94 * half, low, tall - 0.04, tuck],
+                [0.5 * (roof_front + roof_back), 0.95 * half, low, tall, tuck],
+                [roof_front, 0.94 * half, low, tall - 0.03, tuck],
+                [screen, 0.9 * half, low, bonnet + 0.02, 0.05],
+            ]
+        )
+    )
     radius = rng.uniform(0.29, 0.38)
     axles = [nose - 0.19 * length, tail + 0.2 * length]
     parts = [
@@ -129,12 +136,17 @@ def _lorry(rng: np.random.Generator) -> Mesh:
     tall, bed = rng.uniform(2.6, 3.9), rng.uniform(0.85, 1.2)
     nose, tail = 0.5 * length, -0.5 * length
     cab_long, cab_tall = rng.uniform(1.6, 2.4), rng.uniform(2.3, 3.4)
-    cab = _hull(np.array([
-        [nose - cab_long, half * 0.97, 0.5, cab_tall, 0.03],
-        [nose - 0.5, half * 0.97, 0.45, cab_tall, 0.05],
-        [nose - 0.1, half * 0.93, 0.4, 0.8 * cab_tall, 0.05],
-        [nose, half * 0.85, 0.5, 0.5 * cab_tall, 0.0],
-    ]), 0.25)  # fmt: skip
+    cab = _hull(
+        np.array(
+            [
+                [nose - cab_long, half * 0.97, 0.5, cab_tall, 0.03],
+                [nose - 0.5, half * 0.97, 0.45, cab_tall, 0.05],
+                [nose - 0.1, half * 0.93, 0.4, 0.8 * cab_tall, 0.05],
+                [nose, half * 0.85, 0.5, 0.5 * cab_tall, 0.0],
+            ]
+        ),
+        0.25,
+    )
     deck_long = length - cab_long - 0.4
     centre = tail + 0.5 * deck_long
     parts = [cab, box((length - 1.0, 0.9, 0.25), (-0.2, 0.0, bed - 0.2))]
@@ -143,16 +155,22 @@ def _lorry(rng: np.random.Generator) -> Mesh:
         parts.append(box((deck_long, 2.0 * half, tall - bed), (centre, 0.0, 0.5 * (tall + bed))))
     elif style == 'tank':
         r = rng.uniform(0.8, 1.1)
-        barrel = np.array([[tail + 0.1, 0.6 * r, bed + 0.2, bed + 1.6 * r, 0.0],
-                           [tail + 0.3, r, bed, bed + 2 * r, 0.0],
-                           [tail + deck_long - 0.3, r, bed, bed + 2 * r, 0.0],
-                           [tail + deck_long, 0.6 * r, bed + 0.2, bed + 1.6 * r, 0]])  # fmt: skip
+        barrel = np.array(
+            [
+                [tail + 0.1, 0.6 * r, bed + 0.2, bed + 1.6 * r, 0.0],
+                [tail + 0.3, r, bed, bed + 2 * r, 0.0],
+                [tail + deck_long - 0.3, r, bed, bed + 2 * r, 0.0],
+                [tail + deck_long, 0.6 * r, bed + 0.2, bed + 1.6 * r, 0],
+            ]
+        )
         parts.append(_hull(barrel, 1.0))
     else:
         parts.append(box((deck_long, 2.0 * half, 0.15), (centre, 0.0, bed)))
         wall = rng.uniform(0.3, 0.6) if style == 'flat' else rng.uniform(0.7, 1.3)
-        parts += [box((deck_long, 0.06, wall), (centre, side * half, bed + 0.5 * wall))
-                  for side in (1.0, -1.0)]  # fmt: skip
+        parts += [
+            box((deck_long, 0.06, wall), (centre, side * half, bed + 0.5 * wall))
+            for side in (1.0, -1.0)
+        ]
         x = tail + 0.3
         while x < tail + deck_long - 1.2:
             size = rng.uniform([0.6, 0.6, 0.3], [1.6, 2.0 * half - 0.2, 1.5])
@@ -169,10 +187,17 @@ def _lorry(rng: np.random.Generator) -> Mesh:
 def _bus(rng: np.random.Generator) -> Mesh:
     length, half, tall = rng.uniform(8.0, 13.0), rng.uniform(1.15, 1.27), rng.uniform(2.8, 3.5)
     nose, tail = 0.5 * length, -0.5 * length
-    body = _hull(np.array([
-        [tail, 0.95 * half, 0.5, 0.95 * tall, 0.02], [tail + 0.2, half, 0.3, tall, 0.05],
-        [nose - 0.3, half, 0.3, tall, 0.05], [nose, 0.93 * half, 0.35, 0.93 * tall, 0.03],
-    ]), 0.22)  # fmt: skip
+    body = _hull(
+        np.array(
+            [
+                [tail, 0.95 * half, 0.5, 0.95 * tall, 0.02],
+                [tail + 0.2, half, 0.3, tall, 0.05],
+                [nose - 0.3, half, 0.3, tall, 0.05],
+                [nose, 0.93 * half, 0.35, 0.93 * tall, 0.03],
+            ]
+        ),
+        0.22,
+    )
     parts = [body, box((2.2, 1.6, 0.3), (rng.uniform(-2, 2), 0.0, tall + 0.15))]
     parts += _wheels(rng, [nose - 2.6, tail + 3.0], half, 0.48)
     return merge([*parts, *_mirrors(nose + 0.1, half, 2.2)])

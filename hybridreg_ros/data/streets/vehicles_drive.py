@@ -144,8 +144,15 @@ def make_cyclist(
     person = rig or human_rig(rng, load=False)
     hip = float(person.joints[0, 2])
     sole = max(0.93 - 0.62 * hip, 0.1)
-    motion = _Pedalling(ride, track, offset_m, speed, float(rng.uniform(0.2, 0.8)), sole,
-                        float(rng.uniform(0.0, 6.3)))  # fmt: skip
+    motion = _Pedalling(
+        ride,
+        track,
+        offset_m,
+        speed,
+        float(rng.uniform(0.2, 0.8)),
+        sole,
+        float(rng.uniform(0.0, 6.3)),
+    )
     return replace(ride, kind='cycle'), SkinnedMover(person, motion, speed, 'cyclist')
 
 

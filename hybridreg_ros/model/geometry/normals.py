@@ -51,8 +51,12 @@ def surface_normals(points: NDArray[np.float32], near: NDArray[np.int32]) -> NDA
         s = 1.0 / count
         x, y, z = x * s, y * s, z * s
         _, _, _, nx, ny, nz = smallest_axis(
-            xx * s - x * x, xy * s - x * y, xz * s - x * z,
-            yy * s - y * y, yz * s - y * z, zz * s - z * z,
-        )  # fmt: skip
+            xx * s - x * x,
+            xy * s - x * y,
+            xz * s - x * z,
+            yy * s - y * y,
+            yz * s - y * z,
+            zz * s - z * z,
+        )
         out[i, 0], out[i, 1], out[i, 2] = nx, ny, nz
     return out

@@ -237,9 +237,13 @@ class Dynamics:
         return out
 
     def _leave_ground(
-        self, seed: F32, known: NDArray[np.bool_], placed: F32, T_odom_sensor: F64,
+        self,
+        seed: F32,
+        known: NDArray[np.bool_],
+        placed: F32,
+        T_odom_sensor: F64,
         local_map: LocalMap,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Take seeds (M,) on the ground for known: it does not move, so a scan was bent there.
 
         Only for lidars, which stand upright: a nod within a turn that was not found raises the
@@ -250,10 +254,13 @@ class Dynamics:
             return
         still = rows[
             lies_on_background(
-                placed[rows], T_odom_sensor[:3, 3], local_map.coarse, _BENT * self._slack_m,
+                placed[rows],
+                T_odom_sensor[:3, 3],
+                local_map.coarse,
+                _BENT * self._slack_m,
                 up=T_odom_sensor[:3, 2],
             )
-        ]  # fmt: skip
+        ]
         seed[still] = 0.0
         known[still] = True
 
@@ -284,9 +291,16 @@ class Dynamics:
         budget = (self._config.growth_share * size).astype(np.int64)
         grown: F32
         grown, _ = cells.grow(
-            grid.keys, grid.table, grid.slots, value, group, budget, passable & ~taken,
-            self._config.growth, self._config.fade,
-        )  # fmt: skip
+            grid.keys,
+            grid.table,
+            grid.slots,
+            value,
+            group,
+            budget,
+            passable & ~taken,
+            self._config.growth,
+            self._config.fade,
+        )
         return grown
 
 

@@ -69,9 +69,15 @@ class Shape:
     ) -> tuple[NDArray[np.int32], int]:
         """Connected parts of member cells (M,), and how many; see `segments.divide`."""
         part, number = segments.divide(
-            *grid.index, member, self.centre, self.normal, self.flat,
-            bend, _STEP * grid.size_m, fold,
-        )  # fmt: skip
+            *grid.index,
+            member,
+            self.centre,
+            self.normal,
+            self.flat,
+            bend,
+            _STEP * grid.size_m,
+            fold,
+        )
         return part, int(number)
 
 

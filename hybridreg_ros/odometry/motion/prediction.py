@@ -155,9 +155,13 @@ class Motion:
             spread = spread * max(1.0, 0.5 * steps * (steps + 1.0))
         shift_m, turn_rad = float(spread[0]), float(spread[1])
         return Expected(
-            self.predict(stamp), shift_m, turn_rad, self.seconds_to(stamp), turn_rate,
+            self.predict(stamp),
+            shift_m,
+            turn_rad,
+            self.seconds_to(stamp),
+            turn_rate,
             known=self.last_step_s > 0.0,
-        )  # fmt: skip
+        )
 
     def seconds_to(self, stamp: int) -> float:
         """Seconds from the last pose to a stamp (ns); integer arithmetic, so nothing is lost."""

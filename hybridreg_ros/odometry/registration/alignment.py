@@ -133,10 +133,18 @@ def _with_intra_scan_motion(
             surfaces.measure(moved, T)
             scale = surfaces.scales(order, low, level.size_m)
             sums = intra_scan_update.moments(
-                moved, times, lasting, T[:3, :3].copy(), T[:3, 3].copy(), surfaces.kind,
-                surfaces.anchor, surfaces.normal, surfaces.variance, scale,
+                moved,
+                times,
+                lasting,
+                T[:3, :3].copy(),
+                T[:3, 3].copy(),
+                surfaces.kind,
+                surfaces.anchor,
+                surfaces.normal,
+                surfaces.variance,
+                scale,
                 (_POINT_SPREAD * level.size_m) ** 2,
-            )  # fmt: skip
+            )
             T, found, length = intra_scan_update.update(found, T, sums, half_span, config, prior)
             moved = found.undo(points, times)
             step = max(step, length)
@@ -242,9 +250,17 @@ def _system(
     """Gauss-Newton system of the robust cost at T; as `kernels.normal_equations` gives it."""
     system: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
     system = kernels.normal_equations(
-        points, trust, T[:3, :3].copy(), T[:3, 3].copy(), surfaces.kind, surfaces.anchor,
-        surfaces.normal, surfaces.variance, scale, (_POINT_SPREAD * level.size_m) ** 2,
-    )  # fmt: skip
+        points,
+        trust,
+        T[:3, :3].copy(),
+        T[:3, 3].copy(),
+        surfaces.kind,
+        surfaces.anchor,
+        surfaces.normal,
+        surfaces.variance,
+        scale,
+        (_POINT_SPREAD * level.size_m) ** 2,
+    )
     return system
 
 

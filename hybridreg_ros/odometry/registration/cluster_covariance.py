@@ -27,9 +27,14 @@ _TINY = 1e-6
 
 
 def cluster_covariance(
-    points: F64, weights: F64, T_odom_sensor: F64, surfaces: Surfaces, scales: F64, H: F64,
+    points: F64,
+    weights: F64,
+    T_odom_sensor: F64,
+    surfaces: Surfaces,
+    scales: F64,
+    H: F64,
     size_m: float,
-) -> F64:  # fmt: skip
+) -> F64:
     """Covariance of a pose, from the pull of each part of the scan.
 
     The inverse of the information H says how well a pose is held if every point errs on its own.

@@ -69,10 +69,11 @@ class ScanContinuity:
         grown = gap_s / max(expected.seconds, _STEP_S)
         shift_m, turn_rad = self._factor * _SPREAD
         start = Start(
-            second, pose,
+            second,
+            pose,
             float(shift_m + grown**2 * expected.shift_m),
             float(turn_rad + grown**2 * expected.turn_rad),
-        )  # fmt: skip
+        )
         return replace(expected, start=start)
 
     def end_at(

@@ -42,17 +42,31 @@ class Surfaces:
     ) -> None:
         """Pair points with the surfaces of a level, or of the next wider one that has some."""
         kernels.associate(
-            points, T[:3, :3].copy(), T[:3, 3].copy(), levels[0].grid, levels[1].grid,
-            levels[2].grid, update, self.kind, self.anchor, self.normal, self.variance,
+            points,
+            T[:3, :3].copy(),
+            T[:3, 3].copy(),
+            levels[0].grid,
+            levels[1].grid,
+            levels[2].grid,
+            update,
+            self.kind,
+            self.anchor,
+            self.normal,
+            self.variance,
             self.born,
-        )  # fmt: skip
+        )
 
     def measure(self, points: NDArray[np.float64], T: NDArray[np.float64]) -> None:
         """Distances of points (N, 3) at a pose (4, 4) to their surfaces, into `residual`."""
         kernels.residuals(
-            points, T[:3, :3].copy(), T[:3, 3].copy(),
-            self.kind, self.anchor, self.normal, self.residual,
-        )  # fmt: skip
+            points,
+            T[:3, :3].copy(),
+            T[:3, 3].copy(),
+            self.kind,
+            self.anchor,
+            self.normal,
+            self.residual,
+        )
 
     def scale(self, low: float, high: float) -> float:
         """Robust standard deviation of the plane residuals, metres, clipped to [low, high]."""

@@ -131,9 +131,16 @@ def located_by_kiss(found: Candidate, reason: Reason, tentative: bool = False) -
     """A pose that kiss-icp made; its evidence is all that speaks for it."""
     confidence = found.verdict.confidence
     return Located(
-        found.fit, found.evidence, Source.KISS_ICP, reason, confidence, confidence,
-        innovation=found.innovation, rank=found.rank, tentative=tentative,
-    )  # fmt: skip
+        found.fit,
+        found.evidence,
+        Source.KISS_ICP,
+        reason,
+        confidence,
+        confidence,
+        innovation=found.innovation,
+        rank=found.rank,
+        tentative=tentative,
+    )
 
 
 def is_worth_it(

@@ -159,9 +159,18 @@ class RangeImage:
         T = se3.inverse(self.T_odom_sensor) @ T_odom_sensor
         out = np.zeros(len(points), np.int8)
         _stand(
-            points, T[:3, :3].copy(), T[:3, 3].copy(), *_geometry(self.view),
-            self._near, self._far, tolerance_m, tolerance_share, self._inside, strict, out,
-        )  # fmt: skip
+            points,
+            T[:3, :3].copy(),
+            T[:3, 3].copy(),
+            *_geometry(self.view),
+            self._near,
+            self._far,
+            tolerance_m,
+            tolerance_share,
+            self._inside,
+            strict,
+            out,
+        )
         return out
 
 

@@ -135,9 +135,15 @@ def _empty(msg: PointCloud2, rng: np.random.Generator) -> None:
 
 
 _BREAKS: tuple[Callable[[PointCloud2, np.random.Generator], None], ...] = (
-    _break_shape, _break_shape, _break_field, _break_field, _break_list, _break_data,
-    _break_order, _empty,
-)  # fmt: skip
+    _break_shape,
+    _break_shape,
+    _break_field,
+    _break_field,
+    _break_list,
+    _break_data,
+    _break_order,
+    _empty,
+)
 
 
 class _Client:
@@ -209,9 +215,12 @@ def check_fuzz(
     """
     space, domain, began = f'/fuzz_{os.getpid()}', 1 + os.getpid() % 99, time.monotonic()
     settings = NodeConfig(
-        input_qos='reliable', input_qos_depth=4 * _BATCH, queue_depth=4 * _BATCH,
-        diagnostics_period_s=0.05, publish_tf=False,
-    )  # fmt: skip
+        input_qos='reliable',
+        input_qos_depth=4 * _BATCH,
+        queue_depth=4 * _BATCH,
+        diagnostics_period_s=0.05,
+        publish_tf=False,
+    )
     process = NodeProcess((config or OdometryConfig(), settings), space, domain)
     with process, own_node(space, domain) as node:
         client = _Client(node, process)

@@ -121,9 +121,13 @@ def run_live(  # noqa: PLR0913 - four outputs, each optional
     space = f'/live_{os.getpid()}_{time.monotonic_ns() % 1_000_000}'
     base = node_config or NodeConfig()
     settings = replace(
-        base, input_qos='reliable', input_qos_depth=100, queue_depth=2 * _QUEUE,
-        diagnostics_period_s=0.1, publish_tf=False,
-    )  # fmt: skip
+        base,
+        input_qos='reliable',
+        input_qos_depth=100,
+        queue_depth=2 * _QUEUE,
+        diagnostics_period_s=0.1,
+        publish_tf=False,
+    )
     counters = tuple(_Counter(taker) for taker in (on_odom, on_dynamic, on_static, on_frame))
     with contextlib.closing(open_bag(bag_path)) as bag:
         name = bag.cloud_topic(topic)

@@ -55,8 +55,11 @@ class NodeProcess:
         self._configs = configs
         self._namespace = namespace
         self._environment = {
-            **os.environ, **LOCALHOST, 'ROS_DOMAIN_ID': str(domain_id), **(extra or {})
-        }  # fmt: skip
+            **os.environ,
+            **LOCALHOST,
+            'ROS_DOMAIN_ID': str(domain_id),
+            **(extra or {}),
+        }
         self._folder = tempfile.TemporaryDirectory(prefix='hybridreg_node_')
         self._process: subprocess.Popen[bytes] | None = None
 
@@ -79,9 +82,15 @@ class NodeProcess:
         content = {'/**': {'ros__parameters': values}}
         parameters.write_text(yaml.safe_dump(content), encoding='utf-8')
         command = [
-            sys.executable, '-m', 'hybridreg_ros.ros.odometry_node',
-            '--ros-args', '--params-file', str(parameters), '-r', f'__ns:={self._namespace}',
-        ]  # fmt: skip
+            sys.executable,
+            '-m',
+            'hybridreg_ros.ros.odometry_node',
+            '--ros-args',
+            '--params-file',
+            str(parameters),
+            '-r',
+            f'__ns:={self._namespace}',
+        ]
         with self.log.open('wb') as log:
             self._process = subprocess.Popen(
                 command,

@@ -145,7 +145,7 @@ def who_moves(
     return moves | may[:, 0], moves
 
 
-def settled(
+def with_standing(
     units: Sequence[Unit], kept: NDArray[np.bool_], moves: NDArray[np.bool_], stand_s: F64
 ) -> tuple[Mover, ...]:
     """The movers of the kept units; those that do not move stand as at their times (U,)."""

@@ -20,10 +20,10 @@ from hybridreg_ros.data.hybridmatch.recorded import (
     Kind,
     Shot,
     recorded_samples,
-    settled,
     shot_times,
     unit_shares,
     who_moves,
+    with_standing,
 )
 from hybridreg_ros.data.meshes.geometry import look_at, voxel_thin
 from hybridreg_ros.data.meshes.raycast import Caster
@@ -62,14 +62,14 @@ class _Walk:
     Attributes:
         eyes: (2, 3) first and last place.
         aims: (2, 3) what it looks at there.
-        sway: (6, 3) amplitude (metres, radians), rate (rad/s) and phase of the small motions.
+        tremble: (6, 3) amplitude (metres, radians), rate (rad/s) and phase of the small motions.
         start_s: time of the first place.
         last_s: seconds until the last one.
     """
 
     eyes: F64
     aims: F64
-    sway: F64
+    tremble: F64
     start_s: float
     last_s: float
 
@@ -77,7 +77,7 @@ class _Walk:
         """T_world_camera (4, 4) at a time."""
         share = (time_s - self.start_s) / self.last_s
         eye, aim = ((1.0 - share) * a + share * b for a, b in (self.eyes, self.aims))
-        move = self.sway[:, 0] * np.sin(self.sway[:, 1] * time_s + self.sway[:, 2])
+        move = self.tremble[:, 0] * np.sin(self.tremble[:, 1] * time_s + self.tremble[:, 2])
         away = float(np.linalg.norm(aim - eye))
         aim = aim + away * np.array([move[3], move[4], move[5]])
         return look_at(eye + move[:3], aim, float(move[3]))
@@ -182,8 +182,10 @@ def _walk(
         far = float(np.linalg.norm(way[1] - way[0]))
         last = float(rng.uniform(1.0, GAP_S[1]) if stays else np.clip(far / speed, 0.5, GAP_S[1]))
         size = np.array([0.012, 0.012, 0.012, 0.02, 0.02, 0.02]) * rng.uniform(0.2, 1.2, 6)
-        sway = np.stack([size, rng.uniform(1.0, 9.0, 6), rng.uniform(0.0, 6.3, 6)], axis=1)
-        walk = _Walk(way[[0, 0]] if stays else way, np.stack([first, second]), sway, start_s, last)
+        tremble = np.stack([size, rng.uniform(1.0, 9.0, 6), rng.uniform(0.0, 6.3, 6)], axis=1)
+        walk = _Walk(
+            way[[0, 0]] if stays else way, np.stack([first, second]), tremble, start_s, last
+        )
         miss = _miss(caster, camera, walk)
         if best is None or miss < best[0]:
             best = miss, walk
@@ -265,7 +267,7 @@ def _peopled(
         near = (depth > camera.min_depth_m) & (depth < camera.max_depth_m)
         share = np.maximum(share, unit_shares(units, instance[near], int(near.sum())))
     kept, moves = who_moves(rng, units, share, may, _MOST_MOVING)
-    return caster.peopled(settled(units, kept, moves, stand_s))
+    return caster.peopled(with_standing(units, kept, moves, stand_s))
 
 
 def _shot(

@@ -18,10 +18,10 @@ from hybridreg_ros.data.hybridmatch.recorded import (
     Kind,
     Shot,
     recorded_samples,
-    settled,
     shot_times,
     unit_shares,
     who_moves,
+    with_standing,
 )
 from hybridreg_ros.data.meshes.geometry import voxel_thin
 from hybridreg_ros.data.meshes.raycast import Caster
@@ -166,7 +166,7 @@ def _peopled(
         seen = int(np.isfinite(scan.true[..., 0]).sum())
         share = np.maximum(share, unit_shares(units, scan.instance, seen))
     kept, moves = who_moves(rng, units, share, may, _MOST_MOVING)
-    return caster.peopled(settled(units, kept, moves, stand_s))
+    return caster.peopled(with_standing(units, kept, moves, stand_s))
 
 
 def _shot(

@@ -251,6 +251,7 @@ def test_map_is_published_and_saved_in_the_odom_frame(probe, tmp_path):
     probe.listen('local_map', PointCloud2)
     probe.wait(lambda: probe.publishers_matched('local_map'), 'the match')
     for k in range(3):
+        time.sleep(0.06)  # the period: a map sooner after the last one is left out
         s = stamp()
         probe.answer(cloud(room(0.05 * k), s))
         probe.wait(lambda s=s: probe.at(s, 'local_map'), 'the map')

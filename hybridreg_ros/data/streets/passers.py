@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hybridreg_ros.data.bodies.animals import make_animal
 from hybridreg_ros.data.bodies.humans import human_rig, make_human
 from hybridreg_ros.data.bodies.track import straight_track
 from hybridreg_ros.data.streets import vehicles, vehicles_drive
-from hybridreg_ros.data.streets.traffic import Accompanying, Ride, clear_offset
+from hybridreg_ros.data.streets.traffic import Accompanying, Ride, animal_along, clear_offset
 
 if TYPE_CHECKING:
     from hybridreg_ros.data.bodies.rig import Rig
@@ -50,20 +49,7 @@ def passers(rng: np.random.Generator, layout: Layout, ride: Ride) -> list[Unit]:
         units.append(_pushing(rng, layout, ride, rigs))
     if rng.random() < 0.25:
         way = _way(rng, layout, ride, float(rng.uniform(0.6, 2.5)))
-        place, heading = way.at(0.0)
-        start = np.array([*place, layout.terrain.height(*place)])
-        units.append(
-            (
-                make_animal(
-                    rng,
-                    start,
-                    heading,
-                    activity=str(rng.choice(['walk', 'trot'])),
-                    track=way,
-                    ground=layout.terrain.height,
-                ),
-            )
-        )
+        units.append((animal_along(rng, layout, way),))
     return units + _vehicles(rng, layout, ride)
 
 

@@ -154,18 +154,7 @@ def populate(
     movers += _traffic(rng, layout, ride, crowd)
     for _ in range(crowd.animals):
         way = _way(rng, layout, ride, crowd.near_m, rng.uniform(0.6, 2.0))
-        place, heading = way.at(0.0)
-        start = np.array([*place, layout.terrain.height(*place)])
-        movers.append(
-            make_animal(
-                rng,
-                start,
-                heading,
-                activity=str(rng.choice(['walk', 'trot'])),
-                track=way,
-                ground=layout.terrain.height,
-            )
-        )
+        movers.append(animal_along(rng, layout, way))
     if rng.random() < 0.3 and crowd.people:
         s, d = _free_spot(rng, layout, ride, crowd.near_m, spread_m)
         place, heading = layout.terrain.at(s, d)
@@ -232,6 +221,20 @@ def _walker(
         speed_mps=speed,
         ground=layout.terrain.height,
         rig=rigs[rng.integers(len(rigs))],
+    )
+
+
+def animal_along(rng: np.random.Generator, layout: Layout, way: Accompanying) -> Mover:
+    """An animal that walks or trots along a way over the terrain."""
+    place, heading = way.at(0.0)
+    start = np.array([*place, layout.terrain.height(*place)])
+    return make_animal(
+        rng,
+        start,
+        heading,
+        activity=str(rng.choice(['walk', 'trot'])),
+        track=way,
+        ground=layout.terrain.height,
     )
 
 

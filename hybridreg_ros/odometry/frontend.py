@@ -141,7 +141,7 @@ class HybridOdometry:
             nothing = self._without_map(scan, watch)
             return nothing, Rest(lambda: nothing)
         effort = self._load.effort(behind)
-        encoded = self._tracker.encode(cloud, effort.budget)
+        encoded = self._tracker.encode(cloud, effort.budgets[0])
         watch.lap('encode')
         self._finish()
         watch.resume()

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hybridreg_ros.odometry.load import FULL
 from hybridreg_ros.odometry.registration import covariance
 from hybridreg_ros.odometry.registration.alignment import align_scan
 from hybridreg_ros.odometry.result import Reason, Source
@@ -35,7 +36,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hybridreg_ros.model.budget import Budget
     from hybridreg_ros.odometry.config import OdometryConfig
+    from hybridreg_ros.odometry.load import Effort
     from hybridreg_ros.odometry.motion.prediction import Expected
     from hybridreg_ros.odometry.network_branch import Encoded, LearnedBranch, Proposal
     from hybridreg_ros.odometry.preprocess import SensorModel
@@ -116,53 +119,78 @@ class Locator:
         last: F64,
         trust: F32,
         watch: Watch,
-        wide: bool = True,
+        effort: Effort,
     ) -> Located | Reason:
         """Pose by the network when it is trusted, else by the fallback; or why there is none.
 
         Args:
             cloud: the preprocessed scan.
-            scan: it encoded by the network branch; None without one.
+            scan: it encoded by the network branch at the first budget; None without one.
             expected: pose by constant velocity.
             last: (4, 4) last pose.
             trust: (K,) weight per registered point.
             watch: books the time per stage.
-            wide: whether kiss-icp may start elsewhere than close to the prediction.
+            effort: budgets of the network, and whether kiss-icp may start elsewhere than close to
+                the prediction.
         """
         self.judged = []
         self._prior = expected.widened(*(_HEED / self._rigour))
         self._reach_m = min(expected.shift_m, self._prior.shift_m)
-        check = partial(self._judged, cloud, trust, expected)
-        proposal = None
-        if self._learned is not None:
-            keyframe = self._world.keyframes.to_match(expected.pose)
-            proposal = self._learned.propose(scan, keyframe)
+        check: Callable[[Fit], Candidate] = partial(self._judged, cloud, trust, expected)
+        found: Located | Reason = self._no_network
+        for encoded in self._encodings(cloud, scan, effort.budgets):
+            proposal = self._proposed(encoded, expected)
             watch.lap('match')
-        if proposal is not None:  # its mask knows of those who came since the last scan
+            check = self._check(cloud, trust, expected, proposal)
+            other = self._by_network(cloud, proposal, trust, check, expected)
+            watch.lap('refine')
+            found = other if not isinstance(found, Located) or _is_better(other, found) else found
+            if isinstance(found, Located) and self._is_sure(found):
+                return found
+        why = found if isinstance(found, Reason) else Reason.LOW_CONFIDENCE
+        other = self._by_fallback(cloud, [expected.pose, last], trust, check, why, effort.wide)
+        return found if isinstance(found, Located) and not _is_better(other, found) else other
+
+    def _encodings(
+        self, cloud: PreprocessedScan, scan: Encoded | None, budgets: Sequence[Budget]
+    ) -> Iterator[Encoded | None]:
+        """A scan at one budget after another, the first of which it is encoded at; or nothing."""
+        if self._learned is None:
+            return
+        yield scan
+        for budget in budgets[1:]:
+            finer = self._learned.encode_finer(cloud.map_points, scan, budget)
+            if finer is not None:
+                yield finer
+
+    def _proposed(self, scan: Encoded | None, expected: Expected) -> Proposal | None:
+        """What the network says of a scan, matched with the keyframe nearest to the prediction."""
+        assert self._learned is not None
+        return self._learned.propose(scan, self._world.keyframes.to_match(expected.pose))
+
+    def _is_sure(self, found: Located) -> bool:
+        """Whether a pose of the network is taken without another opinion."""
+        return self.confidence_of(found).confidence >= self._sure
+
+    def _check(
+        self, cloud: PreprocessedScan, trust: F32, expected: Expected, proposal: Proposal | None
+    ) -> Callable[[Fit], Candidate]:
+        """How poses are judged: without the points that the mask of the network knows to move."""
+        if proposal is not None:  # it knows of those who came since the last scan
             still = trust * (1.0 - proposal.uncertainty[cloud.icp_in_map])
             if (still > 0.5).sum() >= _LEFT * (trust > 0.5).sum():
-                check = partial(self._judged, cloud, still, expected)
-        found = self._by_network(cloud, proposal, trust, check, expected)
-        watch.lap('refine')
-        if isinstance(found, Located) and self.confidence_of(found).confidence >= self._sure:
-            return found
-        why = found if isinstance(found, Reason) else Reason.LOW_CONFIDENCE
-        guesses = [expected.pose, last]
-        other = self._by_fallback(cloud, guesses, trust, check, why, wide)
-        return found if isinstance(found, Located) and not _is_better(other, found) else other
+                trust = still
+        return partial(self._judged, cloud, trust, expected)
 
     def confidence_of(self, found: Located) -> reported_confidence.ReportedConfidence:
         """What is known of the pose that was found for the last scan, all ways considered."""
         return reported_confidence.of(found, self.judged, self._voxel_m)
 
-    def relocate(
-        self, cloud: PreprocessedScan, scan: Encoded | None, last: F64
-    ) -> Located | Reason:
+    def relocate(self, cloud: PreprocessedScan, last: F64) -> Located | Reason:
         """Pose of a scan when the last pose says little: by the fallback, then by keyframes.
 
         Args:
             cloud: the preprocessed scan.
-            scan: it encoded by the network branch; None without one.
             last: (4, 4) last pose before the loss.
         """
         trust = np.ones(len(cloud.icp_rows), np.float32)
@@ -172,6 +200,7 @@ class Locator:
         if isinstance(found, Located) and found.confidence >= self._config.fallback.good:
             return found
         if self._learned is not None:
+            scan = self._learned.encode(cloud.map_points, FULL)
             for keyframe in self._world.keyframes.nearest(last, self._config.lost.keyframes_tried):
                 proposal = self._learned.propose(scan, keyframe)
                 by_network = self._by_network(cloud, proposal, trust, check)
@@ -268,7 +297,7 @@ class Locator:
     ) -> Located | Reason:
         """The network's pose, refined in the map; or why it is not taken."""
         if proposal is None:
-            return self._no_network if self._learned is None else Reason.LOW_CONFIDENCE
+            return Reason.LOW_CONFIDENCE
         if proposal.confidence < self._config.gate.enter:
             return Reason.LOW_CONFIDENCE
         start, settings = proposal.T_odom_sensor, self._config.refine

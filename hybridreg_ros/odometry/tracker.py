@@ -117,12 +117,12 @@ class Tracker:
         expected = self._continuity.expect(self._motion.expect(stamp), cloud, stamp)
         trust = self._world.dynamics.trust(cloud.icp_points, predicted := expected.pose)
         if self.lost:
-            found = self._locator.relocate(cloud, encoded, self._motion.pose)
+            found = self._locator.relocate(cloud, self._motion.pose)
         else:
             last = self._motion.pose
-            found = self._locator.locate(cloud, encoded, expected, last, trust, watch, effort.wide)
+            found = self._locator.locate(cloud, encoded, expected, last, trust, watch, effort)
         if isinstance(found, Located) and self._opens(cloud, stamp):
-            cloud, predicted, found = self._opened(cloud, encoded, stamp, found, watch)
+            cloud, predicted, found = self._opened(cloud, encoded, stamp, found, watch, effort)
         self._opening = None
         watch.lap('refine')
         if isinstance(found, Located) and self._is_last_straw(found):
@@ -159,6 +159,7 @@ class Tracker:
         stamp: int,
         found: Located,
         watch: Watch,
+        effort: Effort,
     ) -> tuple[PreprocessedScan, F64, Located]:
         """Make the map of the first scan again, deskewed by the velocity that the second shows.
 
@@ -179,7 +180,7 @@ class Tracker:
             self._restart(first.moved_by(twist), begun, since)
             ones = np.ones(len(cloud.icp_rows), np.float32)
             expected = replace(self._motion.expect(stamp), pose=predicted)
-            again = self._locator.locate(cloud, encoded, expected, begun, ones, watch)
+            again = self._locator.locate(cloud, encoded, expected, begun, ones, watch, effort)
             if isinstance(again, Reason):  # the velocity was wrong, so as it was before
                 self._restart(first, start, since)
                 return still, start, found

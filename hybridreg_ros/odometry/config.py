@@ -276,19 +276,6 @@ class PreprocessConfig(Section):
     icp_thinning: float = option(
         1.5, 'edge length of the thinning cubes for registration, in voxels', low=0.5, high=8.0
     )
-    icp_enough: int = option(
-        0,
-        'minimum number of points to register: if the cubes would leave fewer, they are made '
-        'smaller, down to those of the map; 0 = by sensor (depth 4500, lidar 2500)',
-        low=0,
-        high=100_000,
-    )
-    icp_points: int = option(
-        5000,
-        'maximum number of points to register; larger sets are thinned by taking every k-th point',
-        low=200,
-        high=100_000,
-    )
 
 
 @dataclass(frozen=True)

@@ -114,7 +114,7 @@ class Locator:
     def locate(
         self,
         cloud: PreprocessedScan,
-        scan: Encoded | None,
+        asked: tuple[Encoded | None, Proposal | None],
         expected: Expected,
         last: F64,
         trust: F32,
@@ -125,7 +125,8 @@ class Locator:
 
         Args:
             cloud: the preprocessed scan.
-            scan: it encoded by the network branch at the first budget; None without one.
+            asked: it encoded at the first budget, None without a network; and what the network
+                says of it, where it has been asked.
             expected: pose by constant velocity.
             last: (4, 4) last pose.
             trust: (K,) weight per registered point.
@@ -138,8 +139,7 @@ class Locator:
         self._reach_m = min(expected.shift_m, self._prior.shift_m)
         check: Callable[[Fit], Candidate] = partial(self._judged, cloud, trust, expected)
         found: Located | Reason = self._no_network
-        for encoded in self._encodings(cloud, scan, effort.budgets):
-            proposal = self._proposed(encoded, expected)
+        for proposal in self._proposals(cloud, *asked, expected, effort.budgets):
             watch.lap('match')
             check = self._check(cloud, trust, expected, proposal)
             other = self._by_network(cloud, proposal, trust, check, expected)
@@ -151,22 +151,23 @@ class Locator:
         other = self._by_fallback(cloud, [expected.pose, last], trust, check, why, effort.wide)
         return found if isinstance(found, Located) and not _is_better(other, found) else other
 
-    def _encodings(
-        self, cloud: PreprocessedScan, scan: Encoded | None, budgets: Sequence[Budget]
-    ) -> Iterator[Encoded | None]:
-        """A scan at one budget after another, the first of which it is encoded at; or nothing."""
+    def _proposals(
+        self,
+        cloud: PreprocessedScan,
+        scan: Encoded | None,
+        first: Proposal | None,
+        expected: Expected,
+        budgets: Sequence[Budget],
+    ) -> Iterator[Proposal | None]:
+        """What the network says of a scan, at one budget after another."""
         if self._learned is None:
             return
-        yield scan
+        keyframe = self._world.keyframes.to_match(expected.pose)
+        yield first or self._learned.propose(scan, keyframe)
         for budget in budgets[1:]:
             finer = self._learned.encode_finer(cloud.map_points, scan, budget)
             if finer is not None:
-                yield finer
-
-    def _proposed(self, scan: Encoded | None, expected: Expected) -> Proposal | None:
-        """What the network says of a scan, matched with the keyframe nearest to the prediction."""
-        assert self._learned is not None
-        return self._learned.propose(scan, self._world.keyframes.to_match(expected.pose))
+                yield self._learned.propose(finer, keyframe)
 
     def _is_sure(self, found: Located) -> bool:
         """Whether a pose of the network is taken without another opinion."""

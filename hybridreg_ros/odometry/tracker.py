@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.keyframes import Keyframe
     from hybridreg_ros.odometry.load import Effort
     from hybridreg_ros.odometry.motion.prediction import Motion
-    from hybridreg_ros.odometry.network_branch import Encoded, Registrar
+    from hybridreg_ros.odometry.network_branch import Encoded, Proposal, Registrar
     from hybridreg_ros.odometry.preprocess import SensorModel
     from hybridreg_ros.odometry.preprocessed import PreprocessedScan
     from hybridreg_ros.odometry.result import Watch
@@ -85,6 +85,7 @@ class Tracker:
         self._opening: tuple[PreprocessedScan, int] | None = None
         self._continuity = ScanContinuity()
         self._since_update = 0
+        self._becomes_keyframe = False
 
     def encode(self, cloud: PreprocessedScan, budget: Budget) -> Encoded | None:
         """A cloud encoded by the network; None without one. Needs nothing of earlier scans."""
@@ -92,10 +93,29 @@ class Tracker:
             return None
         return self._learned.encode(cloud.map_points, budget)
 
+    def propose(
+        self, cloud: PreprocessedScan, encoded: Encoded | None, stamp: int
+    ) -> Proposal | None:
+        """What the network says of a cloud, None where it says nothing yet.
+
+        It may be asked while the last scan is written to the world in another thread, so it says
+        nothing when that scan becomes a keyframe; `step` asks it then.
+
+        Args:
+            cloud: the preprocessed scan.
+            encoded: it, by `encode`.
+            stamp: its stamp, ns.
+        """
+        if self._learned is None or self._becomes_keyframe or self.lost:
+            return None
+        expected = self._continuity.expect(self._motion.expect(stamp), cloud, stamp)
+        return self._learned.propose(encoded, self._world.keyframes.to_match(expected.pose))
+
     def step(
         self,
         cloud: PreprocessedScan,
         encoded: Encoded | None,
+        proposal: Proposal | None,
         stamp: int,
         effort: Effort,
         watch: Watch,
@@ -105,11 +125,12 @@ class Tracker:
         Args:
             cloud: the preprocessed scan.
             encoded: it, by `encode`.
+            proposal: by `propose`.
             stamp: its stamp, ns.
             effort: how much is done.
             watch: books the time per stage.
         """
-        self._locator.judged = []
+        self._locator.judged, self._becomes_keyframe = [], False
         if len(cloud.icp_rows) < self._config.input.min_points:
             return self._bad(cloud, stamp, Reason.TOO_FEW_POINTS)
         if len(self._world.map) == 0:
@@ -120,7 +141,8 @@ class Tracker:
             found = self._locator.relocate(cloud, self._motion.pose)
         else:
             last = self._motion.pose
-            found = self._locator.locate(cloud, encoded, expected, last, trust, watch, effort)
+            asked = encoded, proposal
+            found = self._locator.locate(cloud, asked, expected, last, trust, watch, effort)
         if isinstance(found, Located) and self._opens(cloud, stamp):
             cloud, predicted, found = self._opened(cloud, encoded, stamp, found, watch, effort)
         self._opening = None
@@ -180,7 +202,8 @@ class Tracker:
             self._restart(first.moved_by(twist), begun, since)
             ones = np.ones(len(cloud.icp_rows), np.float32)
             expected = replace(self._motion.expect(stamp), pose=predicted)
-            again = self._locator.locate(cloud, encoded, expected, begun, ones, watch, effort)
+            asked = encoded, None
+            again = self._locator.locate(cloud, asked, expected, begun, ones, watch, effort)
             if isinstance(again, Reason):  # the velocity was wrong, so as it was before
                 self._restart(first, start, since)
                 return still, start, found
@@ -232,7 +255,8 @@ class Tracker:
         estimate = self._estimate(pose, reason, told.confidence, nothing(cloud), False)
         self._since_update += 1
         update = partial(self._update, cloud, encoded, stamp, found)
-        if self._since_update < effort.update_every and not self._world.is_due(found, stamp):
+        self._becomes_keyframe = self._world.is_due(found, stamp)
+        if self._since_update < effort.update_every and not self._becomes_keyframe:
             update = partial(self._pass_over, cloud, found)
         return replace(estimate, reported=reported, reported_confidence=told, update=update)
 
@@ -252,7 +276,6 @@ class Tracker:
         if keyframe is not None:
             self._adopt(keyframe, encoded)
         if self._learned is not None:
-            self._learned.keep_only(self._world.keyframes.recent)
             give_back()  # what the network took for this scan
         watch.lap('map')
         return Update(dynamic, keyframe is not None, self._keyframe_id)
@@ -314,6 +337,7 @@ class Tracker:
     def _adopt(self, keyframe: Keyframe, encoded: Encoded | None) -> None:
         """Let the network match against a keyframe that a scan has become."""
         if self._learned is not None:
+            self._learned.keep_only(self._world.keyframes.recent)
             self._learned.adopt(keyframe, encoded)
 
     def _give_up(self) -> bool:

@@ -141,12 +141,12 @@ class Locator:
             check = self._check(cloud, trust, expected, proposal)
             other = self._by_network(cloud, proposal, trust, check, expected)
             watch.lap('refine')
-            found = other if not isinstance(found, Located) or _is_better(other, found) else found
+            found = other if _is_better(other, found) else found
             if isinstance(found, Located) and self._is_sure(found):
                 return found
         why = found if isinstance(found, Reason) else Reason.LOW_CONFIDENCE
         other = self._by_fallback(cloud, [expected.pose, last], trust, check, why, effort.wide)
-        return found if isinstance(found, Located) and not _is_better(other, found) else other
+        return other if _is_better(other, found) else found
 
     def _proposals(
         self,
@@ -185,7 +185,7 @@ class Locator:
         return reported_confidence.of(found, self.judged, self._voxel_m)
 
     def relocate(self, cloud: PreprocessedScan, last: F64) -> Located | Reason:
-        """Pose of a scan when the last pose says little: by the fallback, then by keyframes.
+        """Pose of a scan when the last pose says little: by keyframes, else by the fallback.
 
         Args:
             cloud: the preprocessed scan.
@@ -194,16 +194,17 @@ class Locator:
         trust = np.ones(len(cloud.icp_rows), np.float32)
         self.judged, self._prior, self._reach_m = [], None, None
         check = partial(self._judged, cloud, trust, None)
-        found = self._by_fallback(cloud, [last], trust, check, Reason.RECOVERED)
-        if isinstance(found, Located) and found.confidence >= self._config.fallback.good:
-            return found
+        found: Located | Reason = self._no_network
         if self._learned is not None:
             scan = self._learned.encode(cloud.map_points, FULL)
             for keyframe in self._world.keyframes.nearest(last, self._config.lost.keyframes_tried):
                 proposal = self._learned.propose(scan, keyframe)
-                by_network = self._by_network(cloud, proposal, trust, check)
-                if isinstance(by_network, Located):
-                    return by_network
+                other = self._by_network(cloud, proposal, trust, check)
+                found = other if _is_better(other, found) else found
+                if isinstance(found, Located) and self._is_sure(found):
+                    return found
+        other = self._by_fallback(cloud, [last], trust, check, Reason.RECOVERED)
+        found = other if _is_better(other, found) else found
         if isinstance(found, Located) and found.confidence < self._config.gate.enter:
             return Reason.LOW_CONFIDENCE
         return found
@@ -283,7 +284,7 @@ class Locator:
         best = expected.fused(pose, *self._network_spread)
         reach_m = float(np.median(np.linalg.norm(cloud.icp_points, axis=1)))
         sure = _FAR * (best.shift_m + reach_m * best.turn_rad) < self._world.map.fine.size_m
-        return best.pose, 'fine' if sure else 'middle'
+        return best.pose, 'fine' if sure else 'near'
 
     def _by_network(
         self,
@@ -300,7 +301,7 @@ class Locator:
             return Reason.LOW_CONFIDENCE
         start, settings = proposal.T_odom_sensor, self._config.refine
         prior = self._prior_near(start)
-        basin: Basin = 'middle'
+        basin: Basin = 'near'
         if prior is not None and expected is not None:
             start, basin = self._start_between(start, expected, cloud)
         fit = align_scan(cloud, start, self._world.map, settings, trust, basin, prior)
@@ -390,6 +391,8 @@ class Locator:
         return candidate
 
 
-def _is_better(other: Located | Reason, found: Located) -> bool:
-    """Whether the outcome of another way is a pose of higher rank than the one found."""
+def _is_better(other: Located | Reason, found: Located | Reason) -> bool:
+    """Whether the outcome of another way is a pose of higher rank than the one found, if any."""
+    if not isinstance(found, Located):
+        return True
     return isinstance(other, Located) and other.rank > found.rank

@@ -26,11 +26,11 @@ _LONGEST_SCAN_S = 1.0
 _NOISE_RANGE_SQ = 2.0
 """Squared range, m^2, up to which the pose rather than the noise of a depth camera limits what a
 point tells: 3 mm against 1.5 mm per squared metre."""
-_ENOUGH = {'depth': 4500, 'lidar': 2000}
+_ENOUGH = {'depth': 4500, 'lidar': 2500}
 """Points wanted for a registration; finer cubes of a lidar would hold more of the same rings."""
-_MOST = {'depth': 5000, 'lidar': 2000}
-"""Points registered at most. 2,000 of a lidar's 4,600 take half the time, and ATE of six lidar
-sequences is 1.03 times as large (docs/lab/2026-11-29-step-time.md)."""
+_MOST = {'depth': 5000, 'lidar': 2500}
+"""Points registered at most. 2,500 of a lidar's 4,600 take half the time, and ATE of six lidar
+sequences is 1.04 times as large (docs/lab/2026-11-29-step-time.md)."""
 _INDEPENDENT = 2500
 """Of more points than this, found by finer cubes, the further ones repeat what the others say."""
 _DEFAULT_RANGES_M = {'depth': (0.2, 8.0), 'lidar': (0.5, 100.0)}

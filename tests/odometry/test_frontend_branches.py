@@ -192,7 +192,7 @@ def test_network_finds_the_keyframe_after_a_loss() -> None:
     ]
     clouds = scans(way, RAYS) + dark + scans(turned, RAYS, start_s=101.2)
     registrar = NeighbourhoodRegistrar(turns_deg=(0.0, 60.0, 90.0, 120.0, 180.0, -90.0))
-    config = OdometryConfig(lost=LostConfig(reanchor_after=100))
+    config = OdometryConfig(lost=LostConfig(reanchor_after_s=10.0))
     odometry = HybridOdometry(config, model=registrar)
     results = [odometry.step(scan) for scan in clouds]
     assert results[11].source is Source.LOST

@@ -166,7 +166,7 @@ def test_close_to_the_prediction_is_looked_once_and_only_in_doubt(
 def test_teleport_is_lost_then_starts_a_new_map_and_says_so() -> None:
     other = [pose(-40.0 + 0.05 * k, 30.0, 10.0) for k in range(14)]
     far = scans(other, RAYS, world=_hall(), start_s=100.5)
-    config = OdometryConfig(lost=LostConfig(after_bad_frames=2, reanchor_after=3))
+    config = OdometryConfig(lost=LostConfig(after_bad_frames=2, reanchor_after_s=0.25))
     results = run(scans(walk(5), RAYS) + far, config)
     reasons = [r.reason for r in results]
     assert results[5].confidence == 0.0

@@ -37,16 +37,17 @@ if TYPE_CHECKING:
 
 from typing import TYPE_CHECKING
 
-Basin = Literal['coarse', 'middle', 'fine']
+Basin = Literal['coarse', 'middle', 'near', 'fine']
 
 _POINT_SPREAD = 5.0
 """Standard deviation of a point-to-point residual, in voxels: such pairs follow the pattern of the
 rings rather than the surface, so they only hold what planes leave free."""
 
 
-_NEAR = 0.3
-"""Step, in fine voxels, at which the pull on a coarser level has come near enough: half as many
-pairings, the same ATE on ten sequences of rooms (docs/lab/2026-11-29-step-time.md)."""
+_PULLS = 3
+"""Pairings of the pull from a pose of the network, of eight or nine that its end would take: what
+is left is for the fine level. ATE of rooms and streets is the same
+(docs/lab/2026-11-29-step-time.md)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +93,8 @@ def align(
         local_map: the map.
         config: settings.
         weights: (N,) trust per point in [0, 1] (1 - P(dynamic)), or None for all equal.
-        basin: level to start on: the coarser, the farther off the guess may be.
+        basin: level to start on: the coarser, the farther off the guess may be; 'near' = the
+            middle one for a few rounds.
         times: (N,) seconds of each point after the instant of the pose; then the motion during
             the scan is found too.
         prior: pose that the motion so far expects, with a spread to which the information of the
@@ -171,6 +173,8 @@ def pull_in(
     points, trust = _prepared(points[some], None if weights is None else weights[some])
     level = local_map.coarse if basin == 'coarse' else local_map.middle
     levels = (level, local_map.coarse, local_map.coarse)
+    if basin == 'near':
+        config = replace(config, max_iterations=_PULLS)
     return _iterate(points, trust, T_odom_sensor, levels, local_map, config, config.start_scale)[0]
 
 
@@ -310,8 +314,6 @@ def _iterate(
 ) -> tuple[NDArray[np.float64], bool, Surfaces]:
     """Pair and step until the pose stands still; the pose, whether it does, and the last pairs.
 
-    On a coarser level the pose is only a start, so it ends early there.
-
     The robust scale starts no smaller than `floor` voxels and shrinks (graduated non-convexity):
     a sharp kernel at a bad guess would keep only the pairs that happen to agree with the guess.
     """
@@ -340,8 +342,6 @@ def _iterate(
             moved = max(moved, float(np.linalg.norm(step[:3]) + reach * np.linalg.norm(step[3:])))
         if moved < config.convergence * level.size_m and floor < 2.0 * config.min_scale:
             return se3.orthonormalise(T), True, surfaces
-        if level is not local_map.fine and moved < _NEAR * local_map.fine.size_m:
-            break
         floor *= config.anneal
     return se3.orthonormalise(T), False, surfaces
 

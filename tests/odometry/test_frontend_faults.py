@@ -173,6 +173,8 @@ def test_teleport_is_lost_then_starts_a_new_map_and_says_so() -> None:
     assert is_lost(results[6])
     again = reasons.index(Reason.RECOVERED)
     assert np.diag(results[again].covariance).min() == LOST_VARIANCE
+    for result in results[again + 1 :]:  # how far the sensor went unseen stays unknown
+        assert 0.1**2 < result.covariance[:3, :3].max() < LOST_VARIANCE
     assert results[-1].confidence > 0.9
     assert results[-1].source is Source.KISS_ICP
     assert jumps(results) < 0.3

@@ -157,7 +157,7 @@ def measured(args: argparse.Namespace) -> dict[str, Any]:
         'clouds': dict(heard.clouds),
         'status': {
             k: heard.status.get(k)
-            for k in ('received', 'processed', 'dropped.queue_full', 'load', 'lost', 'source')
+            for k in ('received', 'processed', 'dropped.queue_full', 'load', 'source', 'total_ms')
         },
     }
 

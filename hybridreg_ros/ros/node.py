@@ -24,6 +24,7 @@ from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.ros import fastdds, topics
 from hybridreg_ros.ros.conversions import from_pose
 from hybridreg_ros.ros.diagnostics import TWINS, Setting, to_array
+from hybridreg_ros.ros.extrinsic import Extrinsic
 from hybridreg_ros.ros.front_end import Building, FrontEnd
 from hybridreg_ros.ros.guides.guides import Guides
 from hybridreg_ros.ros.journal import Journal
@@ -77,7 +78,11 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
             self, (OdometryConfig(), NodeConfig()), _FIXED.__contains__, self._on_parameters
         )
         odometry, config = self._configs
-        self._outputs = Outputs(self, config, odometry.dynamics.threshold)
+        self._extrinsic = Extrinsic(self, config)
+        self._guides = Guides(self, config, self._extrinsic)
+        self._outputs = Outputs(
+            self, config, odometry.dynamics.threshold, self._extrinsic, self._guides.up
+        )
         self._front_end: FrontEnd | None = None
         self._worker: Worker | None = None
         self._input: CloudSubscription | None = None
@@ -104,7 +109,6 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
         if self._transport.warning:
             self.get_logger().warning(self._transport.reason)
         self._built = self.create_guard_condition(self._on_built)
-        self._guides = Guides(self, config)
         self._journal.open()
         self._building = Building(
             odometry,
@@ -264,7 +268,7 @@ class OdometryNode(Node):  # type: ignore[misc]  # rclpy has no usable types
             input_timeout_s=self._configs[1].input_timeout_s,
             paused=self._paused,
             starting=self._building.state if made is None else '',
-            waiting_for=self._outputs.waiting_for,
+            waiting_for=self._extrinsic.waiting_for,
             guides=self._guides.states,
             rivals=rivals,
             queue=self._worker.waiting if self._worker else 0,

@@ -77,7 +77,7 @@ def test_guess_is_used_and_its_end_is_said(probe):
         np.testing.assert_allclose(pose, expected, atol=0.03)
     probe.wait(lambda: probe.values['guess'] == 'used', 'the guess')
     probe.answer(cloud(room(0.9), 17 * STEP_NS))
-    probe.wait(lambda: 'prediction without guess: no transform' in probe.text, 'the warning')
+    probe.wait(lambda: 'without guess: no transform' in probe.text, 'the warning')
     assert probe.level == DiagnosticStatus.WARN
     assert probe.values['guess'] == f'no transform from wheel_g to {FRAME} at the time'
     for k in (18, 19):

@@ -133,6 +133,10 @@ class Outputs:
         self._extrinsic.forget()
         self._start, self._begun = T_odom_start, False
 
+    def open(self) -> None:
+        """Publish again."""
+        self._closed = False
+
     def close(self) -> None:
         """Publish nothing any more; a publication in work ends first."""
         with self._sending_pose, self._sending_clouds:

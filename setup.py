@@ -40,6 +40,8 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),
         shared('config'),
+        shared('config/sensors'),
+        shared('config/with'),
         shared('launch', '*.launch.py'),
         shared('rviz'),
     ],

@@ -1,18 +1,27 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Start the odometry node, and RViz on request.
+"""Start the odometry node, plain or managed, and RViz on request.
 
 ros2 launch hybridreg_ros odometry.launch.py topic:=/lidar/points rviz:=true
+ros2 launch hybridreg_ros odometry.launch.py topic:=/lidar/points managed:=true autostart:=false
+
+Whatever the same launch starts afterwards gets the shared-memory profile too, so that a driver
+does not lose large clouds.
 """
 
 import yaml
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, EmitEvent, OpaqueFunction, RegisterEventHandler
+from launch.events import matches_action
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
-from launch_ros.actions import Node
+from launch_ros.actions import LifecycleNode, Node
+from launch_ros.event_handlers import OnStateTransition
+from launch_ros.events.lifecycle import ChangeState
 from launch_ros.substitutions import FindPackageShare
+from lifecycle_msgs.msg import Transition
 
-from launch import LaunchContext, LaunchDescription
+from hybridreg_ros.ros import fastdds
+from launch import Action, LaunchContext, LaunchDescription
 
 SHARE = FindPackageShare('hybridreg_ros')
 CONFIG = PathJoinSubstitution([SHARE, 'config', 'node.yaml'])
@@ -22,6 +31,8 @@ ARGUMENTS = {
     'topic': ('points', 'PointCloud2 topic to read'),
     'namespace': ('', 'namespace of the node'),
     'params_file': (CONFIG, 'parameter file, keys as in config/node.yaml and odometry.yaml'),
+    'managed': ('false', 'start the managed (lifecycle) node'),
+    'autostart': ('true', 'configure and activate the managed node'),
     'log_level': ('info', 'debug, info, warn or error'),
     'rviz': ('false', 'start RViz'),
     'rviz_config': (RVIZ, 'RViz display set-up'),
@@ -38,15 +49,40 @@ PARAMETERS = {
 }
 
 
-def start_node(context: LaunchContext) -> list[Node]:
+def is_on(context: LaunchContext, name: str) -> bool:
+    """Value of a launch argument that is true or false."""
+    return bool(yaml.safe_load(LaunchConfiguration(name).perform(context)))
+
+
+def transitions(node: LifecycleNode) -> list[Action]:
+    """What configures a managed node, and activates it once that has succeeded."""
+
+    def emit(transition: int) -> EmitEvent:
+        matcher = matches_action(node)
+        return EmitEvent(
+            event=ChangeState(lifecycle_node_matcher=matcher, transition_id=transition)
+        )
+
+    configured = OnStateTransition(
+        target_lifecycle_node=node,
+        start_state='configuring',
+        goal_state='inactive',
+        entities=[emit(Transition.TRANSITION_ACTIVATE)],
+    )
+    return [RegisterEventHandler(configured), emit(Transition.TRANSITION_CONFIGURE)]
+
+
+def start_node(context: LaunchContext) -> list[Action]:
     """The node with the parameter file and the parameters given by name; RViz when it is wanted.
 
     Raises:
         RuntimeError: RViz is wanted and not installed; then nothing is started.
     """
+    fastdds.prepare()
     texts = {name: LaunchConfiguration(name).perform(context) for name in PARAMETERS}
     given = {name: yaml.safe_load(text) for name, text in texts.items() if text}
-    node = Node(
+    managed = is_on(context, 'managed')
+    node = (LifecycleNode if managed else Node)(
         package='hybridreg_ros',
         executable='odometry_node',
         name='hybridreg',
@@ -54,10 +90,18 @@ def start_node(context: LaunchContext) -> list[Node]:
         output='screen',
         parameters=[LaunchConfiguration('params_file'), given],
         remappings=[('points', LaunchConfiguration('topic'))],
-        arguments=['--ros-args', '--log-level', LaunchConfiguration('log_level')],
+        arguments=[
+            *(['--managed'] if managed else []),
+            '--ros-args',
+            '--log-level',
+            LaunchConfiguration('log_level'),
+        ],
     )
-    if not yaml.safe_load(LaunchConfiguration('rviz').perform(context)):
-        return [node]
+    actions = [node]
+    if managed and is_on(context, 'autostart'):
+        actions += transitions(node)
+    if not is_on(context, 'rviz'):
+        return actions
     try:
         get_package_prefix('rviz2')
     except PackageNotFoundError:
@@ -68,7 +112,7 @@ def start_node(context: LaunchContext) -> list[Node]:
         output='log',
         arguments=['-d', LaunchConfiguration('rviz_config')],
     )
-    return [node, rviz]
+    return [*actions, rviz]
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -126,6 +126,14 @@ def test_links_outside_the_site_lead_somewhere(page: Path) -> None:
             assert (page.parent / target).exists(), target
 
 
+@pytest.mark.parametrize('page', ['guide/faq.md', 'results/features.md'])
+def test_tests_that_are_named_exist(page: str) -> None:
+    there = {path.stem for path in (ROOT / 'tests').rglob('test_*.py')}
+    named = set(re.findall(r'`(?:\w+/)?(test_\w+)(?:\.py)?`', (DOCS / page).read_text('utf-8')))
+    assert named
+    assert named <= there, named - there
+
+
 def test_every_lab_entry_is_in_the_index() -> None:
     index = (DOCS / 'lab' / 'index.md').read_text('utf-8')
     for entry in (DOCS / 'lab').glob('2*.md'):

@@ -17,6 +17,7 @@ from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.locator import Locator
 from hybridreg_ros.odometry.network_branch import LearnedBranch
 from hybridreg_ros.odometry.registration import covariance
+from hybridreg_ros.odometry.registration.planar import in_plane
 from hybridreg_ros.odometry.registration.scan_continuity import ScanContinuity
 from hybridreg_ros.odometry.result import Reason, Source
 from hybridreg_ros.odometry.selection import calibration
@@ -229,6 +230,8 @@ class Tracker:
         effort: Effort,
     ) -> Estimate:
         """Write a pose to the chain; what its scan tells the world is left to the estimate."""
+        if self._motion.up is not None:
+            found = replace(found, fit=in_plane(found.fit, self._motion.up))
         pose, was_lost = found.fit.T_odom_sensor, self.lost
         intra_scan, reported = found.fit.intra_scan, None
         entered = cloud

@@ -17,6 +17,7 @@ from std_msgs.msg import Header
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.quaternion import from_quaternion, to_quaternion
 from hybridreg_ros.core.scan import NS_PER_S
+from hybridreg_ros.odometry.registration.planar import IN_PLANE, confined, flattened
 from hybridreg_ros.odometry.result import LOST_VARIANCE, OdometryResult, Source
 
 if TYPE_CHECKING:
@@ -97,19 +98,19 @@ def _moved(covariance: F64, R: F64, corner: F64) -> F64:
 
 def to_odometry(
     result: OdometryResult,
-    odom_frame: str,
-    child_frame: str,
+    frames: tuple[str, str],
     T_base_sensor: F64 | None = None,
     T_odom_start: F64 | None = None,
+    planar: bool = False,
 ) -> Odometry:
     """Odometry message of a result; its stamp is the stamp of the cloud.
 
     Args:
         result: outcome of one scan.
-        odom_frame: frame of the pose.
-        child_frame: base frame, or the sensor frame when there is no extrinsic.
+        frames: of the pose, and the base frame (the sensor frame when there is no extrinsic).
         T_base_sensor: (4, 4) pose of the sensor in the child frame; None = identity.
         T_odom_start: (4, 4) pose of the child frame at the first scan; None = identity.
+        planar: whether the base moves in the plane z = 0 of its first pose.
     """
     pose, covariance = result.pose, result.covariance
     twist, twist_covariance = result.twist, result.twist_covariance
@@ -118,13 +119,16 @@ def to_odometry(
         if result.source is not Source.LOST:
             covariance = base_covariance(covariance, result.pose, T_base_sensor)
         twist, twist_covariance = base_twist(twist, twist_covariance, T_base_sensor)
+    if planar:
+        pose, covariance = flattened(pose, covariance)
+        twist, twist_covariance = twist * IN_PLANE, confined(twist_covariance)
     if T_odom_start is not None:
         pose = T_odom_start @ pose
         covariance = _moved(covariance, T_odom_start[:3, :3], np.zeros((3, 3)))
     if result.source is Source.LOST:
         covariance = np.maximum(covariance, np.diag(np.full(6, LOST_VARIANCE)))
-    msg = Odometry(child_frame_id=child_frame)
-    msg.header = Header(stamp=to_time(result.stamp), frame_id=odom_frame)
+    msg = Odometry(child_frame_id=frames[1])
+    msg.header = Header(stamp=to_time(result.stamp), frame_id=frames[0])
     msg.pose.pose = to_pose(pose)
     msg.pose.covariance = np.asarray(covariance, dtype=np.float64).reshape(36)
     linear, angular = msg.twist.twist.linear, msg.twist.twist.angular

@@ -106,7 +106,7 @@ def _about_node(state: Snapshot, setting: Setting) -> list[tuple[bytes, str]]:
         found.append((ERROR, f'{setting.rivals} more {TWINS}'))
     for name, state_of in setting.guides.items():
         if state_of.startswith('no '):
-            found.append((WARN, f'prediction without {name}: {state_of}'))
+            found.append((WARN, f'without {name}: {state_of}'))
     if setting.waiting_for:
         found.append((WARN, setting.waiting_for))
     if setting.transport_warning:

@@ -19,6 +19,9 @@ RESTART_ONLY = (
     'base_frame',
     'guess_frame',
     'use_imu',
+    'use_points_2',
+    'pair_within_s',
+    'planar',
     'extrinsic_source',
     'extrinsic',
 )
@@ -66,6 +69,26 @@ class NodeConfig:
         (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
         'pose of base_frame in odom_frame at the start and after ~/reset_to_pose: '
         'x y z (m) qx qy qz qw',
+    )
+    use_points_2: bool = option(
+        False,
+        'join each cloud with the one of a second sensor on points_2 that is nearest in time; '
+        'its pose is taken from /tf_static',
+    )
+    pair_within_s: float = option(
+        0.05,
+        'how far apart two clouds that are joined may be, and how long the first waits, seconds',
+        low=0.0,
+        high=1.0,
+    )
+    level: bool = option(
+        True,
+        'with use_imu: roll and pitch of the first pose are those of the base by gravity, if it '
+        'stands still then; else, and without use_imu, those of initial_pose',
+    )
+    planar: bool = option(
+        False,
+        'for wheeled robots on flat floors: only x, y and yaw of base_frame change',
     )
     publish_keyframe: bool = option(False, 'publish the static points of new keyframes')
     publish_path: bool = option(False, 'publish the poses so far as nav_msgs/Path')

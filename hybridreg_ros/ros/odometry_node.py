@@ -20,7 +20,7 @@ def parser() -> argparse.ArgumentParser:
 
     p = argparse.ArgumentParser(
         prog='odometry_node',
-        usage='odometry_node [-h] [--version] [--ros-args ...]',
+        usage='odometry_node [-h] [--version] [--managed] [--ros-args ...]',
         description='Turns the clouds of topic points into odometry and dynamic points.',
         epilog='ROS arguments: -r points:=/lidar/points (the topic of the clouds), '
         '-p NAME:=VALUE (a parameter), --params-file FILE (such as config/node.yaml), '
@@ -29,6 +29,11 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument(
         '--version', action='version', version=f'odometry_node {version("hybridreg_ros")}'
+    )
+    p.add_argument(
+        '--managed',
+        action='store_true',
+        help='wait for the lifecycle transitions of a managed node',
     )
     return p
 
@@ -56,10 +61,10 @@ def _run(argv: list[str], stop: StopSignals) -> int:
     from hybridreg_ros.ros.session import own_arguments
 
     try:
-        parser().parse_args(own_arguments('odometry_node', argv))
+        own = parser().parse_args(own_arguments('odometry_node', argv))
         from hybridreg_ros.ros.node import run
 
-        run(argv, stop)
+        run(argv, stop, own.managed)
     except HybridRegError as error:
         sys.stderr.write(f'odometry_node: {error}\n')
         return 2

@@ -24,12 +24,7 @@ from hybridreg_ros.ros import topics
 from hybridreg_ros.ros.conversions import to_odometry, to_pointcloud2, to_time, to_transform
 from hybridreg_ros.ros.diagnostics import of_frame
 from hybridreg_ros.ros.qos import profile, publisher_events
-from hybridreg_ros.ros.transforms import (
-    MISSING,
-    Broadcaster,
-    StaticListener,
-    pose_matrix,
-)
+from hybridreg_ros.ros.transforms import MISSING, Broadcaster, levelled, pose_matrix
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -38,6 +33,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from hybridreg_ros.odometry.result import OdometryResult
+    from hybridreg_ros.ros.extrinsic import Extrinsic
     from hybridreg_ros.ros.node_config import NodeConfig
 
 PROBABILITY = 'dynamic_probability'
@@ -48,20 +44,33 @@ class Outputs:
     """Publishes results; called from the threads of the worker, except `configure` and `close`.
 
     Attributes:
-        waiting_for: text while odometry is held back because the extrinsic is unknown, else ''.
         tf_available: whether tf2_msgs is there.
     """
 
-    def __init__(self, node: Node, config: NodeConfig, threshold: float) -> None:
+    def __init__(
+        self,
+        node: Node,
+        config: NodeConfig,
+        threshold: float,
+        extrinsic: Extrinsic,
+        up: Callable[[int], NDArray[np.float64] | None],
+    ) -> None:
         """Create the publishers.
 
-        Raises:
-            DependencyError: the extrinsic shall come from /tf_static and tf2_msgs is missing.
+        Args:
+            node: owner of the publishers.
+            config: see `configure`.
+            threshold: see `configure`.
+            extrinsic: pose of the sensor in the base.
+            up: asked at the first pose, with its stamp (ns): (3,) away from gravity, sensor frame.
         """
         self._node = node
         self._tf = Broadcaster(node)
         self.tf_available = self._tf.available
-        self.waiting_for = ''
+        self._extrinsic = extrinsic
+        self._find_up = up
+        self._up: NDArray[np.float64] | None = None
+        self._begun = False
         self._odometry = self._publisher(Odometry, topics.ODOM)
         self._dynamic = self._publisher(PointCloud2, topics.DYNAMIC_POINTS)
         self._static = self._publisher(PointCloud2, topics.STATIC_POINTS)
@@ -76,10 +85,6 @@ class Outputs:
         self._sending_pose, self._sending_clouds = threading.Lock(), threading.Lock()
         self._closed = False
         self._poses: deque[PoseStamped] = deque(maxlen=config.path_length)
-        self._listener: StaticListener | None = None
-        self._used: NDArray[np.float64] | None = None
-        if config.base_frame and config.extrinsic_source == 'tf':
-            self._listener = StaticListener(node)
         self.configure(config, threshold)
 
     def _publisher(self, kind: type, topic: topics.Topic) -> Any:
@@ -125,7 +130,12 @@ class Outputs:
         """
         with self._lock:
             self._poses.clear()
-        self._used, self._start = None, T_odom_start
+        self._extrinsic.forget()
+        self._start, self._begun = T_odom_start, False
+
+    def open(self) -> None:
+        """Publish again."""
+        self._closed = False
 
     def close(self) -> None:
         """Publish nothing any more; a publication in work ends first."""
@@ -159,11 +169,16 @@ class Outputs:
         config = self._config
         sensor_frame = result.scan.frame_id.lstrip('/')
         child = config.base_frame or sensor_frame
-        T_base_sensor = self._extrinsic(child, sensor_frame, config)
-        if self.waiting_for:
+        T_base_sensor = self._extrinsic.of(sensor_frame)
+        if not self._begun and result.source is not Source.LOST:
+            self._begun, self._up = True, self._find_up(result.stamp) if config.level else None
+        if T_base_sensor is None:
             return
-        msg = to_odometry(result, config.odom_frame, child, T_base_sensor, self._start)
-        self._T_odom_map = self._start if T_base_sensor is None else self._start @ T_base_sensor
+        if self._up is not None:
+            self._start, self._up = levelled(self._start, T_base_sensor[:3, :3] @ self._up), None
+        frames = config.odom_frame, child
+        msg = to_odometry(result, frames, T_base_sensor, self._start, config.planar)
+        self._T_odom_map = self._start @ T_base_sensor
         self._odometry.publish(msg)
         if config.publish_tf and result.source is not Source.LOST and child:
             self._tf.send(to_transform(msg, config.invert_tf))
@@ -196,32 +211,6 @@ class Outputs:
     def in_odom(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
         """Points (N, 3) of the map in the odom frame."""
         return se3.apply(self._T_odom_map, points.astype(np.float64)).astype(np.float32)
-
-    def _extrinsic(
-        self, child: str, sensor_frame: str, config: NodeConfig
-    ) -> NDArray[np.float64] | None:
-        """Pose of the sensor in the child frame, None for the identity; sets `waiting_for`.
-
-        The pose once used is kept until a reset: another one would make the odometry jump.
-        """
-        self.waiting_for = ''
-        if child == sensor_frame:
-            return None
-        if config.extrinsic_source == 'parameter':
-            return pose_matrix(config.extrinsic)
-        log = self._node.get_logger()
-        T = None if self._listener is None else self._listener.lookup(child, sensor_frame)
-        if T is None and self._used is None:
-            self.waiting_for = (
-                f'odometry held back: /tf_static does not connect {child} and {sensor_frame}'
-            )
-            log.warning(self.waiting_for, throttle_duration_sec=10.0)
-        elif self._used is None:
-            self._used = T
-        elif T is not None and not np.allclose(T, self._used, atol=1e-6):
-            text = f'/tf_static has moved {sensor_frame} in {child}: used after ~/reset'
-            log.warning(text, throttle_duration_sec=10.0)
-        return self._used
 
     def _publish_cloud(
         self, publisher: Any, msg: PointCloud2, result: OdometryResult, keep: NDArray[np.bool_]

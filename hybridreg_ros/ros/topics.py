@@ -56,10 +56,17 @@ POINTS = Topic(
     depth=0,
     received=True,
 )
+POINTS_2 = Topic(
+    'points_2',
+    'sensor_msgs/msg/PointCloud2',
+    'clouds of a second sensor, with `use_points_2`',
+    depth=0,
+    received=True,
+)
 TF_STATIC = Topic(
     '/tf_static',
     'tf2_msgs/msg/TFMessage',
-    'pose of the sensor in `base_frame`, with `extrinsic_source: tf`',
+    'pose of the sensor in `base_frame`, with `extrinsic_source: tf`, of IMU and second sensor',
     depth=100,
     received=True,
 )
@@ -129,6 +136,7 @@ GUESS_TF = Topic(
 )
 TOPICS = (
     POINTS,
+    POINTS_2,
     TF_STATIC,
     INITIAL_POSE,
     IMU,

@@ -116,6 +116,23 @@ def _chain(
     return chain
 
 
+def levelled(T: NDArray[np.float64], up: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A pose (4, 4) of the base with its own position and yaw, and roll and pitch by gravity.
+
+    Args:
+        T: (4, 4) pose of the base.
+        up: (3,) away from gravity, base axes.
+    """
+    yaw = np.arctan2(T[1, 0], T[0, 0])
+    z = up / np.linalg.norm(up)
+    ahead = np.array([1.0, 0.0, 0.0]) - z[0] * z  # x axis of the base in the horizontal
+    if np.linalg.norm(ahead) < 1e-3:  # it points up or down: there is no yaw
+        ahead = np.array([0.0, 0.0, -np.sign(z[0])])
+    x = ahead / np.linalg.norm(ahead)
+    R_level_base = np.stack([x, np.cross(z, x), z])
+    return se3.transform(se3.so3_exp(np.array([0.0, 0.0, yaw])) @ R_level_base, T[:3, 3])
+
+
 def pose_matrix(values: tuple[float, ...]) -> NDArray[np.float64]:
     """Transform (4, 4) of x y z qx qy qz qw."""
     return se3.transform(rotation(np.array(values[3:])), np.array(values[:3]))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from hybridreg_ros.core.errors import HybridRegError
 from hybridreg_ros.core.pointcloud2 import to_scan
 from hybridreg_ros.odometry.result import Source
-from hybridreg_ros.ros.frame_queue import FrameQueue
+from hybridreg_ros.ros.clouds.frame_queue import FrameQueue
 from hybridreg_ros.ros.monitor import Drop, Monitor
 
 if TYPE_CHECKING:
@@ -34,7 +34,11 @@ class Arrival(NamedTuple):
 
 
 class Worker:
-    """Queue, front end and threads."""
+    """Queue, front end and threads.
+
+    Attributes:
+        join: called in the thread with a message and its scan; gives those that are stepped.
+    """
 
     def __init__(
         self,
@@ -61,6 +65,7 @@ class Worker:
         """
         self._front_end = front_end
         self._monitor = monitor
+        self.join: Callable[[Any, Scan], tuple[Any, Scan]] = lambda *alone: alone
         self._begin = begin
         self._publish_odometry = publish_odometry
         self._publish = publish
@@ -82,9 +87,10 @@ class Worker:
         return threading.Thread(target=self._complete_all, name='hybridreg_completer', daemon=True)
 
     def start(self) -> None:
-        """Start the threads."""
-        self._thread.start()
-        self._completer.start()
+        """Start the threads, unless they run."""
+        for thread in (self._thread, self._completer):
+            if not thread.is_alive():
+                thread.start()
 
     def configure(self, config: NodeConfig) -> None:
         """Take queue depth, drop policy and what the decoder needs from a config."""
@@ -110,19 +116,23 @@ class Worker:
         """Clouds in the queue."""
         return len(self._queue)
 
+    def drop(self, cause: Drop, text: str) -> None:
+        """Drop waiting clouds and count them."""
+        gone = self._queue.clear()
+        if gone:
+            self._monitor.dropped(cause, text, gone)
+
     def reset(self, restart: Callable[[], object]) -> None:
         """Forget pose and map once the current cloud is done; waiting clouds are dropped.
 
         Args:
             restart: called before the next cloud is begun.
         """
-        gone = self._queue.clear()
+        self.drop(Drop.RESET, 'waiting while ~/reset was called')
         with self._busy:
             self._front_end.reset()
             self._monitor.forget()
             restart()
-        if gone:
-            self._monitor.dropped(Drop.RESET, 'waiting while ~/reset was called', gone)
 
     def map_points(self) -> NDArray[np.float32]:
         """Static points (N, 3) of the local map, front end's frame, after the current cloud.
@@ -163,9 +173,17 @@ class Worker:
                 self._thread = self._new_thread()
                 self._thread.start()
 
+    def decode(self, msg: Any) -> Scan:
+        """The scan of a cloud as the front end sees it.
+
+        Raises:
+            PointCloudError: the cloud contradicts itself.
+        """
+        return self._front_end.seen(to_scan(msg, *self._decoding))
+
     def _handle(self, arrival: Arrival) -> None:
         try:
-            scan = self._front_end.seen(to_scan(arrival.message, *self._decoding))
+            message, scan = self.join(arrival.message, self.decode(arrival.message))
             self._tell_times(scan)
             self._begin(scan)
             behind, self._behind = self._behind, False
@@ -180,7 +198,7 @@ class Worker:
             self._warn(result.reason.value, f'dropped {text}')
             return
         self._posed(arrival.time_s, result)
-        self._located.put((arrival.message, rest))
+        self._located.put((message, rest))
 
     def _complete_all(self) -> None:
         """Make mask, map and keyframes of located clouds and publish their points, until stopped.

@@ -74,7 +74,7 @@ class Probe:
     """Subscribed to everything one odometry node publishes."""
 
     process: NodeProcess  # what is probed
-    tf: Any = None
+    other: Any = None  # a further publisher of the test
 
     def __init__(self, namespace: str, reliable: bool = True) -> None:
         os.environ.update(LOCALHOST)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import os
 import re
 import sys
 import types
@@ -60,12 +61,14 @@ class _Stub:
 def odometry_launch(monkeypatch):
     """The launch file as a module, with stubs where launch is not installed."""
     pytest.importorskip('ament_index_python')
-    names = 'launch launch.actions launch.substitutions launch_ros launch_ros.actions'
-    for name in (*names.split(), 'launch_ros.substitutions'):
-        module = types.ModuleType(name)
-        vars(module)['__getattr__'] = lambda _: _Stub
-        monkeypatch.setitem(sys.modules, name, module)
-    monkeypatch.setattr(_Stub, 'values', {'rviz': 'false'})
+    names = '. .actions .events .substitutions _ros _ros.actions _ros.event_handlers _ros.events'
+    for name in (*names.split(), '_ros.events.lifecycle', '_ros.substitutions'):
+        module = types.ModuleType('launch' + name.rstrip('.'))
+        vars(module)['__getattr__'] = lambda kind: type(kind, (_Stub,), {})
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setattr(_Stub, 'values', {'rviz': 'false', 'managed': 'false'})
+    for name in ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE'):
+        monkeypatch.setenv(name, '')  # what the launch file sets is taken back
     path = ROOT / 'launch' / 'odometry.launch.py'
     spec = importlib.util.spec_from_file_location('odometry_launch', path)
     assert spec is not None
@@ -90,6 +93,32 @@ def test_nothing_is_started_when_rviz_is_wanted_and_missing(
     marker.parent.mkdir(parents=True)
     marker.touch()
     assert executables() == ['odometry_node', 'rviz2']
+
+
+def test_what_is_started_gets_the_shared_memory_profile(odometry_launch):
+    odometry_launch.start_node(None)
+    assert os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'].endswith('.xml')
+
+
+@pytest.mark.parametrize(('autostart', 'transitions'), [('true', [3, 1]), ('false', [])])
+def test_the_managed_node_is_configured_and_then_activated(
+    odometry_launch, autostart, transitions
+):
+    _Stub.values.update(managed='true', autostart=autostart)
+    node, *others = odometry_launch.start_node(None)
+    assert type(node).__name__ == 'LifecycleNode'
+    assert node.named['arguments'][0] == '--managed'
+    if others:
+        handler, first = others
+        on_configured = handler.arguments[0]
+        assert on_configured.named['target_lifecycle_node'] is node
+        assert on_configured.named['goal_state'] == 'inactive'
+        others = [on_configured.named['entities'][0], first]
+    assert [e.named['event'].named['transition_id'] for e in others] == transitions
+    _Stub.values.update(managed='false')
+    (node,) = odometry_launch.start_node(None)
+    assert type(node).__name__ == 'Node'
+    assert node.named['arguments'][0] == '--ros-args'
 
 
 def test_launch_arguments_are_parameters_of_the_node():

@@ -103,7 +103,7 @@ def test_base_twist_is_the_derivative_of_the_base_pose(rng):
 
 def test_odometry_message_of_a_result(rng):
     pose, covariance = random_transform(rng), random_covariance(rng)
-    msg = c.to_odometry(result_of(pose, covariance, Source.HYBRIDREG), 'odom', 'lidar')
+    msg = c.to_odometry(result_of(pose, covariance, Source.HYBRIDREG), ('odom', 'lidar'))
     assert c.to_ns(msg.header.stamp) == 1_234_567_890_123_456_789
     assert (msg.header.frame_id, msg.child_frame_id) == ('odom', 'lidar')
     np.testing.assert_allclose(c.from_pose(msg.pose.pose), pose, atol=1e-12)
@@ -117,13 +117,13 @@ def test_odometry_message_of_a_result(rng):
 def test_lost_is_9999_whatever_the_frame(rng, extrinsic):
     T_bs = random_transform(rng) if extrinsic else None
     result = result_of(np.eye(4), np.eye(6), Source.LOST)
-    msg = c.to_odometry(result, 'odom', 'base', T_bs)
+    msg = c.to_odometry(result, ('odom', 'base'), T_bs)
     assert np.diag(np.reshape(msg.pose.covariance, (6, 6))).min() >= 9999.0
 
 
 def test_transform_message_and_its_inverse(rng):
     pose = random_transform(rng)
-    odometry = c.to_odometry(result_of(pose, np.eye(6), Source.HYBRIDREG), 'odom', 'base')
+    odometry = c.to_odometry(result_of(pose, np.eye(6), Source.HYBRIDREG), ('odom', 'base'))
     plain, inverted = c.to_transform(odometry), c.to_transform(odometry, invert=True)
     assert (plain.header.frame_id, plain.child_frame_id) == ('odom', 'base')
     assert (inverted.header.frame_id, inverted.child_frame_id) == ('base', 'odom')

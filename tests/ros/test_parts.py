@@ -24,12 +24,12 @@ from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.result import OdometryResult, Reason, Source
 from hybridreg_ros.ros import fastdds
+from hybridreg_ros.ros.clouds.frame_queue import FrameQueue
+from hybridreg_ros.ros.clouds.subscription import LossCounter
 from hybridreg_ros.ros.conversions import to_pointcloud2, to_time
 from hybridreg_ros.ros.diagnostics import Setting, status
-from hybridreg_ros.ros.frame_queue import FrameQueue
 from hybridreg_ros.ros.monitor import Drop, Monitor
 from hybridreg_ros.ros.node_config import NodeConfig
-from hybridreg_ros.ros.subscription import LossCounter
 from hybridreg_ros.ros.worker import Arrival, Worker
 
 pytestmark = pytest.mark.ros

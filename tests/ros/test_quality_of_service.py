@@ -18,8 +18,8 @@ pytest.importorskip('rclpy', reason='rclpy is not installed (pip install hybridr
 from ros_harness import STEP_NS, Probe, cloud, room
 from sensor_msgs.msg import PointCloud2
 
+from hybridreg_ros.ros.clouds.subscription import CloudSubscription
 from hybridreg_ros.ros.qos import all_reliable, profile
-from hybridreg_ros.ros.subscription import CloudSubscription
 
 pytestmark = pytest.mark.ros
 
@@ -37,7 +37,7 @@ def probe():
 def test_auto_follows_the_publishers(probe):
     node = probe.node
     got: list[Any] = []
-    subscription = CloudSubscription(node, 'auto', 10, got.append, lambda _: None)
+    subscription = CloudSubscription(node, ('points', 'auto', 10), got.append, lambda _: None)
     assert subscription.state == 'waiting for a publisher'
     assert all_reliable(node, subscription.topic) is None
     first = node.create_publisher(PointCloud2, 'points', profile(True, 10))
@@ -55,7 +55,9 @@ def test_auto_follows_the_publishers(probe):
 def test_a_mismatch_is_one_clear_warning(probe, capfd):
     node = probe.node
     publisher = node.create_publisher(PointCloud2, 'points', profile(False, 10))
-    subscription = CloudSubscription(node, 'reliable', 10, lambda _: None, lambda _: None)
+    subscription = CloudSubscription(
+        node, ('points', 'reliable', 10), lambda _: None, lambda _: None
+    )
     text = []
 
     def warned() -> bool:
@@ -80,7 +82,7 @@ def test_what_a_full_history_overwrites_is_counted(probe):
         got.append(msg.header.stamp.sec)
         time.sleep(0.3 if len(got) == 1 else 0.0)
 
-    subscription = CloudSubscription(node, 'sensor_data', 2, slow, lost.append)
+    subscription = CloudSubscription(node, ('points', 'sensor_data', 2), slow, lost.append)
     publisher = node.create_publisher(PointCloud2, 'points', profile(False, 100))
     probe.wait(publisher.get_subscription_count, 'the match')
     for k in range(1, 21):

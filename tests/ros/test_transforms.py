@@ -67,7 +67,7 @@ def probe():
     """One node for the module, its base frame known from /tf_static."""
     frames: dict[str, Any] = {'odom_frame': 'odom_tf_test', 'base_frame': 'base_tf_test'}
     with running('tf', **frames) as p:
-        p.tf = listen(p)
+        p.other = listen(p)
         yield p
 
 
@@ -100,7 +100,7 @@ def test_waits_for_the_extrinsic_then_follows_it(probe):
     assert probe.odometry[-1].child_frame_id == 'base_tf_test'
     for s, pose in poses.items():
         sent = probe.wait(
-            lambda s=s: [t for t in probe.tf if to_ns(t.header.stamp) == s], f'/tf of {s}'
+            lambda s=s: [t for t in probe.other if to_ns(t.header.stamp) == s], f'/tf of {s}'
         )
         assert [(t.header.frame_id, t.child_frame_id) for t in sent] == [
             ('odom_tf_test', 'base_tf_test')
@@ -134,15 +134,15 @@ def test_inverted_and_switched_off(probe):
     assert probe.set('invert_tf', True).successful
     s = stamp()
     pose = from_pose(probe.answer(cloud(room(0.1), s)).pose.pose)
-    sent = probe.wait(lambda: [t for t in probe.tf if to_ns(t.header.stamp) == s], '/tf')[0]
+    sent = probe.wait(lambda: [t for t in probe.other if to_ns(t.header.stamp) == s], '/tf')[0]
     assert (sent.header.frame_id, sent.child_frame_id) == ('base_tf_test', 'odom_tf_test')
     np.testing.assert_allclose(matrix(sent), se3.inverse(pose), atol=1e-9)
     assert probe.set('invert_tf', False).successful
     assert probe.set('publish_tf', False).successful
-    before = len(probe.tf)
+    before = len(probe.other)
     probe.answer(cloud(room(), stamp()))
     probe.fresh()
-    assert len(probe.tf) == before
+    assert len(probe.other) == before
     assert probe.values['tf'] == 'off'
     assert probe.set('publish_tf', True).successful
 
@@ -150,10 +150,10 @@ def test_inverted_and_switched_off(probe):
 def test_no_tf_while_lost(probe):
     for _ in range(3):
         probe.answer(cloud(np.zeros((0, 3), np.float32), stamp()))
-    before = len(probe.tf)
+    before = len(probe.other)
     probe.answer(cloud(np.zeros((0, 3), np.float32), stamp()))
     probe.fresh()
-    assert len(probe.tf) == before
+    assert len(probe.other) == before
     probe.call('reset')
 
 

@@ -126,6 +126,7 @@ class Motion:
         stamp: its time, ns.
         twist: (6,) linear (m/s) and angular (rad/s) velocity, sensor frame.
         last_step_s: seconds between the poses that gave the velocity, 0 = it is not known.
+        up: (3,) normal, odom axes, of the plane that the motion stays in; None = it is free.
     """
 
     def __init__(self, pose: F64 | None = None, stamp: int = 0) -> None:
@@ -133,6 +134,7 @@ class Motion:
         self.stamp = stamp
         self.twist = np.zeros(6)
         self.last_step_s = 0.0
+        self.up: F64 | None = None
         self._sure = self.pose, stamp
         self._errors: deque[F64] = deque(maxlen=_KEPT)
 

@@ -43,6 +43,7 @@ class NodeProcess:
         namespace: str,
         domain_id: int,
         extra: Mapping[str, str] | None = None,
+        managed: bool = False,
     ) -> None:
         """Say what to start.
 
@@ -51,9 +52,10 @@ class NodeProcess:
             namespace: ROS namespace of the node, with leading '/'.
             domain_id: ROS domain.
             extra: further environment variables.
+            managed: whether it is the managed node.
         """
         self._configs = configs
-        self._namespace = namespace
+        self._namespace, self._managed = namespace, managed
         self._environment = {
             **os.environ,
             **LOCALHOST,
@@ -85,6 +87,7 @@ class NodeProcess:
             sys.executable,
             '-m',
             'hybridreg_ros.ros.odometry_node',
+            *(['--managed'] if self._managed else []),
             '--ros-args',
             '--params-file',
             str(parameters),

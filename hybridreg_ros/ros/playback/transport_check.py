@@ -137,7 +137,11 @@ def check_transport(
                 before = time.perf_counter()
                 publisher.publish(msg)
                 calls.append(time.perf_counter() - before)
-            process.wait_until(lambda: flow.idle and flow.quiet_s > 1.5, 120.0, 'the last cloud')
+            process.wait_until(
+                lambda: flow.idle and min(flow.quiet_s, time.monotonic() - due) > 1.5,
+                120.0,
+                'the last cloud',
+            )
             return TransportReport(
                 sent=frames,
                 received=flow.received,

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The cloud subscription: QoS by parameter, the automatic choice, counted transport losses."""
+"""A cloud subscription: QoS by parameter, the automatic choice, counted transport losses."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import PointCloud2
 
 from hybridreg_ros.ros.qos import all_reliable, profile, subscription_events
-from hybridreg_ros.ros.topics import POINTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -63,7 +62,7 @@ class LossCounter:
 
 
 class CloudSubscription:
-    """Subscribes to `points`; with QoS 'auto' it follows the publishers that are there.
+    """Subscribes to clouds; with QoS 'auto' it follows the publishers that are there.
 
     Attributes:
         topic: resolved name of the topic.
@@ -73,8 +72,7 @@ class CloudSubscription:
     def __init__(
         self,
         node: Node,
-        qos: str,
-        depth: int,
+        source: tuple[str, str, int],
         on_cloud: Callable[[PointCloud2], None],
         on_lost: Callable[[int], None],
     ) -> None:
@@ -82,19 +80,18 @@ class CloudSubscription:
 
         Args:
             node: owner of the subscription.
-            qos: sensor_data, reliable or auto.
-            depth: messages that DDS keeps.
+            source: name of the topic; sensor_data, reliable or auto; messages that DDS keeps.
             on_cloud: receives each message.
             on_lost: receives the number of messages that never arrived, each once.
         """
         self._node = node
-        self._depth = depth
+        self._name, qos, self._depth = source
         self._hint = None if qos == 'auto' else _HINT
         self._on_cloud = on_cloud
         self._losses = LossCounter(on_lost)
         self._subscription: Subscription | None = None
         self._reliable: bool | None = None
-        self.topic = node.resolve_topic_name(POINTS.name)
+        self.topic = node.resolve_topic_name(self._name)
         self.state = 'waiting for a publisher'
         self._timer: Timer | None = None
         if qos == 'auto':
@@ -117,7 +114,7 @@ class CloudSubscription:
         self.state = 'reliable' if reliable else 'best_effort'
         self._subscription = self._node.create_subscription(
             PointCloud2,
-            POINTS.name,
+            self._name,
             self._receive,
             profile(reliable, self._depth),
             event_callbacks=subscription_events(

@@ -7,7 +7,7 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from hybridreg_ros.core.scan import NS_PER_S, units_note
 from hybridreg_ros.odometry import network_branch
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.intake import Intake
-from hybridreg_ros.odometry.load import Load
+from hybridreg_ros.odometry.load import QUICK, Load
 from hybridreg_ros.odometry.motion.prediction import Motion
 from hybridreg_ros.odometry.preprocess import preprocess, recognise_sensor
 from hybridreg_ros.odometry.registration import covariance
@@ -29,12 +29,23 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.core.scan import Scan
+    from hybridreg_ros.odometry.network_branch import Encoded
     from hybridreg_ros.odometry.preprocessed import PreprocessedScan
     from hybridreg_ros.odometry.selection.candidates import Candidate
     from hybridreg_ros.odometry.selection.reported_confidence import ReportedConfidence
     from hybridreg_ros.odometry.tracker import Estimate, Update
 
 _log = logging.getLogger(__name__)
+
+
+class Prepared(NamedTuple):
+    """A scan with all done that does not need the pose before (`HybridOdometry.prepare`)."""
+
+    tracker: Tracker
+    scan: Scan
+    cloud: PreprocessedScan
+    encoded: Encoded | None
+    watch: Watch
 
 
 class HybridOdometry:
@@ -103,6 +114,7 @@ class HybridOdometry:
         self.reported_confidence: ReportedConfidence | None = None
         self._motion = self._make_motion()
         self._tracker: Tracker | None = None
+        self._begun = False
         self._keyframe_id = 0
         self._last_pose = self._motion.pose
 
@@ -114,7 +126,27 @@ class HybridOdometry:
         """
         return self.locate(scan)[1]()
 
-    def locate(self, scan: Scan, behind: bool = False) -> tuple[OdometryResult, Rest]:
+    def prepare(self, scan: Scan) -> Prepared | None:
+        """Preprocess and encode a scan to come, in another thread, while one is being located.
+
+        Nothing of that needs the pose before, unless the motion during the scan is to be undone.
+
+        Returns:
+            What `locate` takes with the scan; None where all of it is left to `locate`.
+        """
+        tracker = self._tracker if self._begun else None  # the first scan decides sensor and voxel
+        if tracker is None or (scan.times is not None and self.config.preprocess.deskew):
+            return None
+        watch = Watch()
+        cloud = preprocess(scan, tracker.sensor, self.config.preprocess, np.zeros(6))
+        watch.lap('preprocess')
+        encoded = tracker.encode(cloud, QUICK)
+        watch.lap('encode')
+        return Prepared(tracker, scan, cloud, encoded, watch)
+
+    def locate(
+        self, scan: Scan, behind: bool = False, prepared: Prepared | None = None
+    ) -> tuple[OdometryResult, Rest]:
         """Take one scan, in two parts: its pose at once, mask, map and keyframes afterwards.
 
         A scan is preprocessed, encoded and matched with a keyframe while the rest of the scan
@@ -125,25 +157,29 @@ class HybridOdometry:
             scan: the scan.
             behind: whether scans were left out since the last one because it took too long; then
                 less is done per scan for a while (`odometry/load.py`).
+            prepared: it by `prepare`, if that was called; of no use after a reset.
 
         Returns:
             What is known with the pose: `dynamic_probability` is 0 everywhere, and it is no
             keyframe yet. The rest, which makes and returns the whole result; to be called once, in
             any thread (the next `locate` calls it if nobody did).
         """
-        watch, self.reported_confidence = Watch(), None
+        if prepared is None or prepared.tracker is not self._tracker or prepared.scan is not scan:
+            prepared = None
+        watch, self.reported_confidence = Watch() if prepared is None else prepared.watch, None
+        watch.resume()
         fault = self._intake.check(scan)
         if fault is not None and not self._rebase(scan, fault):
             refusal = self._refusal(scan, fault, watch)
             return refusal, Rest(lambda: refusal)
-        cloud = self._prepare(scan)
+        cloud = self._preprocessed(scan) if prepared is None else prepared.cloud
         watch.lap('preprocess')
         if cloud is None or self._tracker is None:
             nothing = self._without_map(scan, watch)
             return nothing, Rest(lambda: nothing)
         effort = self._load.effort(behind)
         stamp = scan.stamp + round(cloud.instant_s * NS_PER_S)
-        encoded = self._tracker.encode(cloud, effort.budgets[0])
+        encoded = prepared.encoded if prepared else self._tracker.encode(cloud, QUICK)
         watch.lap('encode')
         proposal = self._tracker.propose(cloud, encoded, stamp)
         watch.lap('match')
@@ -152,7 +188,10 @@ class HybridOdometry:
         estimate = self._tracker.step(cloud, encoded, proposal, stamp, effort, watch)
         result = self._result(scan, cloud, estimate, fault, watch)
         result = replace(result, load=effort.level)
-        self._rest = Rest(partial(self._completed, result, estimate.update, watch))
+        self._rest, self._begun = (
+            Rest(partial(self._completed, result, estimate.update, watch)),
+            True,
+        )
         return result, self._rest
 
     def _finish(self) -> None:
@@ -191,7 +230,7 @@ class HybridOdometry:
         self._motion.stop(scan.stamp)
         return True
 
-    def _prepare(self, scan: Scan) -> PreprocessedScan | None:
+    def _preprocessed(self, scan: Scan) -> PreprocessedScan | None:
         """Preprocessed cloud; None while no scan has shown what the sensor is."""
         if self._tracker is None:
             sensor = recognise_sensor(scan.points, self.config)

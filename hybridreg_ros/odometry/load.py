@@ -15,7 +15,7 @@ class Effort:
 
     Attributes:
         level: 0 = all of it.
-        budgets: of points for the network: the first, and the next where that is not sure.
+        budgets: of points for the network, after the quick look, where that is not sure.
         update_every: mask, map and keyframes are made of every n-th scan, and where a keyframe is
             due; the mask of the others is what was known of their places.
         wide: whether other guesses are tried while a pose is in doubt.
@@ -33,9 +33,9 @@ half the cost (docs/lab/2026-11-29-step-time.md)."""
 FULL = Budget()
 """Budget where the first look is not sure, and to find the pose again after a loss."""
 EFFORTS = (
-    Effort(0, (QUICK, FULL), 1, wide=True),
-    Effort(1, (QUICK,), 2, wide=False),
-    Effort(2, (QUICK,), 3, wide=False),
+    Effort(0, (FULL,), 1, wide=True),
+    Effort(1, (), 2, wide=False),
+    Effort(2, (), 3, wide=False),
 )
 """From all to least."""
 _CALM_SCANS = 20

@@ -122,14 +122,14 @@ class Locator:
 
         Args:
             cloud: the preprocessed scan.
-            asked: it encoded at the first budget, None without a network; and what the network
+            asked: it encoded for the quick look, None without a network; and what the network
                 says of it, where it has been asked.
             expected: pose by constant velocity.
             last: (4, 4) last pose.
             trust: (K,) weight per registered point.
             watch: books the time per stage.
-            effort: budgets of the network, and whether kiss-icp may start elsewhere than close to
-                the prediction.
+            effort: further budgets of the network, and whether kiss-icp may start elsewhere than
+                close to the prediction.
         """
         self.judged = []
         self._prior = expected.widened(*(_HEED / self._rigour))
@@ -156,12 +156,12 @@ class Locator:
         expected: Expected,
         budgets: Sequence[Budget],
     ) -> Iterator[Proposal | None]:
-        """What the network says of a scan, at one budget after another."""
+        """What the network says of a scan, in a quick look and at further budgets."""
         if self._learned is None:
             return
         keyframe = self._world.keyframes.to_match(expected.pose)
         yield first or self._learned.propose(scan, keyframe)
-        for budget in budgets[1:]:
+        for budget in budgets:
             finer = self._learned.encode_finer(cloud.map_points, scan, budget)
             if finer is not None:
                 yield self._learned.propose(finer, keyframe)

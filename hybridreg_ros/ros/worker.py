@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Worker: waiting clouds become results, in order; poses in one thread, the rest in another."""
+"""Worker: waiting clouds become results, in order; each stage has its thread."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.core.scan import Scan
-    from hybridreg_ros.odometry.frontend import HybridOdometry
+    from hybridreg_ros.odometry.frontend import HybridOdometry, Prepared
     from hybridreg_ros.odometry.result import OdometryResult, Rest
     from hybridreg_ros.ros.node_config import NodeConfig
 
@@ -33,11 +33,24 @@ class Arrival(NamedTuple):
     time_s: float
 
 
+class Ready(NamedTuple):
+    """A decoded cloud: its message, scan, time of arrival (monotonic, s), and what is done of it.
+
+    `epoch` counts the resets before it.
+    """
+
+    message: Any
+    scan: Scan
+    arrived_s: float
+    prepared: Prepared | None
+    epoch: int
+
+
 class Worker:
-    """Queue, front end and threads.
+    """Queue, front end and three threads: clouds are decoded, then located, then completed.
 
     Attributes:
-        join: called in the thread with a message and its scan; gives those that are stepped.
+        join: called in the first thread with a message and its scan; gives those that are stepped.
     """
 
     def __init__(
@@ -54,12 +67,12 @@ class Worker:
         """Prepare; nothing runs until `start`.
 
         Args:
-            front_end: only this thread steps it.
+            front_end: only these threads step it.
             config: see `configure`.
             monitor: told about every cloud.
-            begin: called in this thread with each scan before it is stepped.
-            publish_odometry: called in this thread as soon as the pose of a cloud is known.
-            publish: called in a second thread with the message and its result, mask included.
+            begin: called in the second thread with each scan before it is stepped.
+            publish_odometry: called there as soon as the pose of a cloud is known.
+            publish: called in the third thread with the message and its result, mask included.
             warn: logs cause and text as one line.
             say: logs a line that is no warning.
         """
@@ -75,20 +88,41 @@ class Worker:
         self._queue: FrameQueue[Arrival] = FrameQueue(depth=1)
         self._busy = threading.Lock()
         self._behind = False
-        self._thread = self._new_thread()
+        self._epoch = 0
+        self._ready: queue.SimpleQueue[Ready | None] = queue.SimpleQueue()
+        self._taken = threading.Semaphore()
         self._located: queue.SimpleQueue[tuple[Any, Rest] | None] = queue.SimpleQueue()
-        self._completer = self._new_completer()
+        self._threads = {work: self._new(work) for work in self._stages}
         self.configure(config)
 
-    def _new_thread(self) -> threading.Thread:
-        return threading.Thread(target=self._run, name='hybridreg_worker', daemon=True)
+    @property
+    def _stages(self) -> tuple[Callable[[], None], ...]:
+        return self._decode_all, self._locate_all, self._complete_all
 
-    def _new_completer(self) -> threading.Thread:
-        return threading.Thread(target=self._complete_all, name='hybridreg_completer', daemon=True)
+    def _new(self, work: Callable[[], None]) -> threading.Thread:
+        """A thread for one stage, which works until what it waits for has ended.
+
+        An error that is no HybridRegError is a bug: its traceback is logged, the cloud is counted,
+        and a new thread goes on with the next cloud.
+        """
+
+        def run() -> None:
+            finished = False
+            try:
+                work()
+                finished = True
+            finally:
+                if not finished:
+                    self._monitor.dropped(Drop.INTERNAL_ERROR, 'see the traceback in the log')
+                    self._threads[work] = self._new(work)
+                    self._threads[work].start()
+
+        name = f'hybridreg{work.__name__}'
+        return threading.Thread(target=run, name=name, daemon=True)
 
     def start(self) -> None:
         """Start the threads, unless they run."""
-        for thread in (self._thread, self._completer):
+        for thread in self._threads.values():
             if not thread.is_alive():
                 thread.start()
 
@@ -130,6 +164,7 @@ class Worker:
         """
         self.drop(Drop.RESET, 'waiting while ~/reset was called')
         with self._busy:
+            self._epoch += 1
             self._front_end.reset()
             self._monitor.forget()
             restart()
@@ -149,29 +184,38 @@ class Worker:
             timeout_s: longest wait for it; the thread goes on alone after that.
         """
         self._queue.close()
-        if self._thread.is_alive():
-            self._thread.join(timeout_s)
-        self._located.put(None)
-        if self._completer.is_alive():
-            self._completer.join(timeout_s)
+        for work, after in zip(self._stages, (self._ready, self._located, None), strict=True):
+            if self._threads[work].is_alive():
+                self._threads[work].join(timeout_s)
+            if after is not None:
+                after.put(None)
 
-    def _run(self) -> None:
-        """Work until the queue is closed.
+    def _decode_all(self) -> None:
+        """Decode clouds, one ahead of that which is located, and prepare them.
 
-        An error that is no HybridRegError is a bug: its traceback is logged, the cloud is
-        counted, and a new thread goes on with the next cloud.
+        The next one is taken when the last one has been: the newest then.
         """
-        finished = False
+        while self._taken.acquire() and (arrival := self._queue.get()) is not None:
+            ready = None
+            try:
+                ready = self._decoded(arrival)
+            finally:
+                if ready is None:
+                    self._taken.release()
+            if ready is not None:
+                self._ready.put(ready)
+
+    def _decoded(self, arrival: Arrival) -> Ready | None:
+        """A cloud decoded and prepared; None when it cannot be decoded."""
+        epoch = self._epoch
         try:
-            while (arrival := self._queue.get()) is not None:
-                with self._busy:
-                    self._handle(arrival)
-            finished = True
-        finally:
-            if not finished:
-                self._monitor.dropped(Drop.INTERNAL_ERROR, 'see the traceback in the log')
-                self._thread = self._new_thread()
-                self._thread.start()
+            message, scan = self.join(arrival.message, self.decode(arrival.message))
+        except HybridRegError as error:
+            self._monitor.dropped(Drop.BAD_CLOUD, str(error))
+            self._warn(Drop.BAD_CLOUD.value, str(error))
+            return None
+        self._tell_times(scan)
+        return Ready(message, scan, arrival.time_s, self._front_end.prepare(scan), epoch)
 
     def decode(self, msg: Any) -> Scan:
         """The scan of a cloud as the front end sees it.
@@ -181,13 +225,22 @@ class Worker:
         """
         return self._front_end.seen(to_scan(msg, *self._decoding))
 
-    def _handle(self, arrival: Arrival) -> None:
+    def _locate_all(self) -> None:
+        """Find the pose of each decoded cloud and publish it."""
+        while (ready := self._ready.get()) is not None:
+            self._taken.release()
+            with self._busy:
+                if ready.epoch == self._epoch:
+                    self._locate(ready)
+                else:
+                    self._monitor.dropped(Drop.RESET, 'waiting while ~/reset was called')
+
+    def _locate(self, ready: Ready) -> None:
+        scan = ready.scan
         try:
-            message, scan = self.join(arrival.message, self.decode(arrival.message))
-            self._tell_times(scan)
             self._begin(scan)
             behind, self._behind = self._behind, False
-            result, rest = self._front_end.locate(scan, behind)
+            result, rest = self._front_end.locate(scan, behind, ready.prepared)
         except HybridRegError as error:
             self._monitor.dropped(Drop.BAD_CLOUD, str(error))
             self._warn(Drop.BAD_CLOUD.value, str(error))
@@ -197,28 +250,19 @@ class Worker:
             self._monitor.dropped(result.reason, text)
             self._warn(result.reason.value, f'dropped {text}')
             return
-        self._posed(arrival.time_s, result)
-        self._located.put((message, rest))
+        self._posed(ready.arrived_s, result)
+        self._located.put((ready.message, rest))
 
     def _complete_all(self) -> None:
-        """Make mask, map and keyframes of located clouds and publish their points, until stopped.
+        """Make mask, map and keyframes of located clouds and publish their points.
 
-        The next cloud is decoded and encoded meanwhile; its pose waits for the map. A bug costs
-        the clouds of one scan, as in `_run`.
+        The next cloud is matched meanwhile; its pose waits for the map.
         """
-        finished = False
-        try:
-            while (located := self._located.get()) is not None:
-                message, rest = located
-                result = rest()
-                self._publish(message, result)
-                self._monitor.finished(result)
-            finished = True
-        finally:
-            if not finished:
-                self._monitor.dropped(Drop.INTERNAL_ERROR, 'see the traceback in the log')
-                self._completer = self._new_completer()
-                self._completer.start()
+        while (located := self._located.get()) is not None:
+            message, rest = located
+            result = rest()
+            self._publish(message, result)
+            self._monitor.finished(result)
 
     def _tell_times(self, scan: Scan) -> None:
         """Log which per-point times are used when that changes, and what is odd in the cloud."""

@@ -276,10 +276,10 @@ def test_node_config_refuses(change, text):
 class _Stumbling(HybridOdometry):
     """The real front end with a bug in its second step."""
 
-    def locate(self, scan, behind=False):
+    def locate(self, scan, *rest):
         if scan.stamp == 2 * 10**8:
             raise ZeroDivisionError('a bug')
-        return super().locate(scan, behind)
+        return super().locate(scan, *rest)
 
 
 @pytest.mark.filterwarnings('ignore::pytest.PytestUnhandledThreadExceptionWarning')

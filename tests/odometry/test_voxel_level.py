@@ -96,7 +96,7 @@ def test_points_stay_with_their_voxel_when_arrays_grow() -> None:
         row, off = nearest(*point.astype(np.float64), level.grid)
         assert off == 0.0
         assert np.array_equal(level.grid.store[row], point)
-        assert level.grid.born[row] == 3.0
+        assert level.grid.surface[row]['born'] == 3.0
         assert level.grid.beam[row] @ np.array([0.0, 0.0, -1.0]) > 0.8
 
 
@@ -137,13 +137,15 @@ def test_points_are_packed_before_more_rows_are_taken(monkeypatch: pytest.Monkey
                 start, count, _ = level.grid.spans[voxel]
                 for row in range(start, start + count):
                     marks[tuple(level.grid.store[row].tolist())] = row + 1
-                    level.grid.fitted[row] = level.grid.surface[row, 4] = row + 1
-                    level.grid.support[row] = row
+                    surface = level.grid.surface[row]
+                    surface['fitted'] = surface['variance'] = row + 1
+                    surface['support'] = row
     assert packs == [len(corners)]
     assert len(level.grid.store) == rows
     assert len(level) == len(places) * len(corners) == len(np.unique(level.points(), axis=0))
     for place, mark in marks.items():
         row, off = nearest(*place, level.grid)
         assert off == 0.0
-        assert level.grid.fitted[row] == level.grid.surface[row, 4] == mark
-        assert level.grid.support[row] == mark - 1
+        surface = level.grid.surface[row]
+        assert surface['fitted'] == surface['variance'] == mark
+        assert surface['support'] == mark - 1

@@ -128,10 +128,7 @@ def _no_points(count: int) -> dict[str, Any]:
         'store': zeros((count, 3), np.float32),
         'mass': zeros(count, np.float32),
         'beam': zeros((count, 3), np.float32),
-        'born': zeros(count, np.float32),
-        'surface': zeros((count, 5), np.float32),
-        'fitted': zeros(count, np.int32),
-        'support': zeros(count, np.int16),
+        'surface': zeros(count, voxel_map.SURFACE),
     }
 
 

@@ -12,6 +12,22 @@ from numpy.typing import NDArray  # noqa: TC002 (numba reads the annotations of 
 from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.odometry.map.voxel_hash import EMPTY, add_voxel, find_voxel, voxel_key
 
+SURFACE = np.dtype(
+    [
+        ('nx', np.float32),
+        ('ny', np.float32),
+        ('nz', np.float32),
+        ('offset', np.float32),
+        ('variance', np.float32),
+        ('born', np.float32),
+        ('fitted', np.int32),
+        ('support', np.int32),
+    ]
+)
+"""Surface of a stored point: unit normal, offset along it and variance across it; age of the map,
+seconds, when the point was first seen; update after which the surface was fitted, 0 = not yet (of
+a free row: the next free run); points it was fitted to, 0 = it is no plane."""
+
 
 class VoxelTable(NamedTuple):
     """One level of the map as the kernels see it.
@@ -26,10 +42,7 @@ class VoxelTable(NamedTuple):
         store: (P, 3) float32 the points of all voxels, map frame, metres.
         mass: (P,) float32, sum of the weights of what each is the mean of, at most MOST_MASS.
         beam: (P, 3) float32 unit direction, map frame, in which each was first seen.
-        born: (P,) float32 age of the map, seconds, when each was first seen.
-        surface: (P, 5) float32 unit normal, offset of the surface along it, variance across it.
-        fitted: (P,) int32, update after which the surface was fitted, 0 = not yet.
-        support: (P,) int16, points it was fitted to, 0 = it is no plane.
+        surface: (P,) SURFACE, what registrations ask of each: half a cache line.
         by_mass: whether stored points count by their mass in the fit of a surface, or alike.
     """
 
@@ -42,10 +55,7 @@ class VoxelTable(NamedTuple):
     store: NDArray[np.float32]
     mass: NDArray[np.float32]
     beam: NDArray[np.float32]
-    born: NDArray[np.float32]
-    surface: NDArray[np.float32]
-    fitted: NDArray[np.int32]
-    support: NDArray[np.int16]
+    surface: NDArray[np.void]
     by_mass: bool
 
 
@@ -117,8 +127,8 @@ def insert(points, weights, origin, now_s, spacing_sq, grid, used):  # type: ign
             grid.beam[place, 0] = bx / far
             grid.beam[place, 1] = by / far
             grid.beam[place, 2] = bz / far
-            grid.born[place] = now_s
-            grid.fitted[place] = 0
+            grid.surface[place].born = now_s
+            grid.surface[place].fitted = 0
             grid.spans[voxel, 1] = count + 1
     return used, len(points)
 
@@ -126,7 +136,7 @@ def insert(points, weights, origin, now_s, spacing_sq, grid, used):  # type: ign
 @compiled
 def _give_rows(voxel, grid):  # type: ignore[no-untyped-def]
     """Give a new voxel its first row; false when there is none."""
-    start = take(1, grid.free, grid.fitted)
+    start = take(1, grid.free, grid.surface)
     if start < 0:
         return False
     grid.spans[voxel, 0], grid.spans[voxel, 1], grid.spans[voxel, 2] = start, 0, 1
@@ -138,12 +148,12 @@ def _move(voxel, grid):  # type: ignore[no-untyped-def]
     """Move a full voxel to more rows; false when there are none."""
     start, count, room = grid.spans[voxel, 0], grid.spans[voxel, 1], grid.spans[voxel, 2]
     larger = longer(room, grid.most)
-    to = take(larger, grid.free, grid.fitted)
+    to = take(larger, grid.free, grid.surface)
     if to < 0:
         return False
     for i in range(count):
         _copy(grid, start + i, grid, to + i)
-    give_back(start, room, grid.free, grid.fitted)
+    give_back(start, room, grid.free, grid.surface)
     grid.spans[voxel, 0], grid.spans[voxel, 2] = to, larger
     return True
 
@@ -155,12 +165,7 @@ def _copy(source, i, grid, k):  # type: ignore[no-untyped-def]
         grid.store[k, axis] = source.store[i, axis]
         grid.beam[k, axis] = source.beam[i, axis]
     grid.mass[k] = source.mass[i]
-    grid.born[k] = source.born[i]
-    grid.fitted[k] = source.fitted[i]
-    if source.fitted[i] != 0:
-        for axis in range(5):
-            grid.surface[k, axis] = source.surface[i, axis]
-        grid.support[k] = source.support[i]
+    grid.surface[k] = source.surface[i]
 
 
 @compiled
@@ -175,7 +180,7 @@ def pack(source, grid, used):  # type: ignore[no-untyped-def]
     for voxel in range(used):
         start, count = source.spans[voxel, 0], source.spans[voxel, 1]
         room = max(1, count)
-        to = take(room, grid.free, grid.fitted)
+        to = take(room, grid.free, grid.surface)
         for i in range(count):
             _copy(source, start + i, grid, to + i)
         grid.spans[voxel, 0], grid.spans[voxel, 2] = to, room
@@ -192,7 +197,7 @@ def keep_near(centre, reach_sq, grid, used):  # type: ignore[no-untyped-def]
         dy = grid.store[start, 1] - centre[1]
         dz = grid.store[start, 2] - centre[2]
         if count == 0 or dx * dx + dy * dy + dz * dz > reach_sq:
-            give_back(start, room, grid.free, grid.fitted)
+            give_back(start, room, grid.free, grid.surface)
             continue
         grid.keys[kept] = grid.keys[voxel]
         grid.spans[kept] = grid.spans[voxel]
@@ -223,7 +228,7 @@ def erase_near(points, reach_sq, grid):  # type: ignore[no-untyped-def]
             if dx * dx + dy * dy + dz * dz <= reach_sq:
                 end -= 1
                 _copy(grid, end, grid, i)
-                grid.fitted[i] = 0
+                grid.surface[i].fitted = 0
                 grid.spans[voxel, 1] -= 1
                 removed += 1
             else:
@@ -320,27 +325,27 @@ def longer(room, longest):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def take(room, free, following):  # type: ignore[no-untyped-def]
+def take(room, free, surface):  # type: ignore[no-untyped-def]
     """First row of a run of so many rows, or -1 when the arrays are full.
 
     Args:
         room: rows wanted.
         free: (F,) as `none_taken` gives it, changed in place.
-        following: (P,) int32, one per row; of a free run, its first holds the next run's.
+        surface: (P,) SURFACE; `fitted` of the first row of a free run is that of the next run.
     """
     row = free[room]
     if row >= 0:
-        free[room] = following[row]
+        free[room] = surface[row].fitted
         return row
     row = free[-1]
-    if row + room > len(following):
+    if row + room > len(surface):
         return -1
     free[-1] = row + room
     return row
 
 
 @compiled
-def give_back(row, room, free, following):  # type: ignore[no-untyped-def]
+def give_back(row, room, free, surface):  # type: ignore[no-untyped-def]
     """Let a run of `room` rows from `row` on be taken again; other arguments as in `take`."""
-    following[row] = free[room]
+    surface[row].fitted = free[room]
     free[room] = row

@@ -32,13 +32,10 @@ def fit_surface(i, grid, wider, widest, update, room):  # type: ignore[no-untype
             n, nx, ny, nz, offset, variance = fit_around(x, y, z, widest, room)
         if _edge_on(nx, ny, nz, beam):
             n = 0
-    grid.surface[i, 0] = nx
-    grid.surface[i, 1] = ny
-    grid.surface[i, 2] = nz
-    grid.surface[i, 3] = offset
-    grid.surface[i, 4] = variance
-    grid.fitted[i] = update
-    grid.support[i] = min(n, 30000)
+    surface = grid.surface[i]
+    surface.nx, surface.ny, surface.nz = nx, ny, nz
+    surface.offset, surface.variance = offset, variance
+    surface.fitted, surface.support = update, n
 
 
 @compiled
@@ -64,8 +61,8 @@ def _surface_of(x, y, z, grid, wider, widest, update, room):  # type: ignore[no-
     """
     i, _ = nearest(x, y, z, grid)
     if i >= 0:
-        age = update - grid.fitted[i]
-        if grid.fitted[i] == 0 or age > _lasts(grid.support[i]):
+        surface = grid.surface[i]
+        if surface.fitted == 0 or update - surface.fitted > _lasts(surface.support):
             fit_surface(i, grid, wider, widest, update, room)
     return i
 
@@ -73,12 +70,13 @@ def _surface_of(x, y, z, grid, wider, widest, update, room):  # type: ignore[no-
 @compiled
 def _on_plane(x, y, z, grid, i, slack):  # type: ignore[no-untyped-def]
     """Whether a place lies on the surface of a stored point, if that is a plane."""
-    if i < 0 or grid.support[i] == 0:
+    if i < 0 or grid.surface[i].support == 0:
         return False
-    off = -float(grid.surface[i, 3])
-    off += (x - grid.store[i, 0]) * grid.surface[i, 0]
-    off += (y - grid.store[i, 1]) * grid.surface[i, 1]
-    off += (z - grid.store[i, 2]) * grid.surface[i, 2]
+    surface = grid.surface[i]
+    off = -float(surface.offset)
+    off += (x - grid.store[i, 0]) * surface.nx
+    off += (y - grid.store[i, 1]) * surface.ny
+    off += (z - grid.store[i, 2]) * surface.nz
     return abs(off) < slack
 
 
@@ -122,13 +120,12 @@ def associate(points, R, t, grid, wider, widest, update, kind, anchor, normal, v
                 continue
         if i < 0:
             continue
-        kind[row] = PLANE if level.support[i] > 0 else POINT
-        born[row] = level.born[i]
-        offset = level.surface[i, 3]
+        surface = level.surface[i]
+        kind[row] = PLANE if surface.support > 0 else POINT
+        born[row], var[row] = surface.born, surface.variance
+        normal[row, 0], normal[row, 1], normal[row, 2] = surface.nx, surface.ny, surface.nz
         for axis in range(3):
-            normal[row, axis] = level.surface[i, axis]
-            anchor[row, axis] = level.store[i, axis] + offset * normal[row, axis]
-        var[row] = level.surface[i, 4]
+            anchor[row, axis] = level.store[i, axis] + surface.offset * normal[row, axis]
 
 
 @compiled

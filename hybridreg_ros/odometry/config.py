@@ -308,7 +308,7 @@ class RefineConfig(Section):
         0.6, 'factor by which the robust scale shrinks per iteration', low=0.01, high=1.0
     )
     convergence: float = option(
-        0.005, 'the iteration ends when a step is smaller than this, in voxels', low=1e-6, high=0.5
+        0.03, 'the iteration ends when a step is smaller than this, in voxels', low=1e-6, high=0.5
     )
     coarse_points: int = option(
         1500, 'number of points used on the coarse level', low=100, high=100_000

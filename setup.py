@@ -34,6 +34,7 @@ setup(
             'odometry/selection/*.json',
             'ros/*.xml',
             'replay/*.html',
+            'replay/*.js',
         ],
     },
     data_files=[
@@ -62,6 +63,7 @@ setup(
             'evo>=1.31',
             'tqdm',
             'pillow',
+            'plotly>=6,<8',
         ],
         'data': ['embreex>=4', 'trimesh>=4.5', 'matplotlib>=3.8', 'pillow'],
         'ros': [

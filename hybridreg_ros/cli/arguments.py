@@ -263,6 +263,9 @@ def _replay(commands: Commands) -> None:
     p.add_argument('--stride', type=COUNT, default=1, metavar='N', help='use every N-th cloud')
     p.add_argument('--max-frames', type=COUNT, metavar='N', help='stop after N clouds')
     p.add_argument('--no-clouds', action='store_true', help='write no clouds to dynamic.mcap')
+    p.add_argument(
+        '--no-compare', action='store_true', help='do not run kiss-icp alone on the same clouds'
+    )
     p.add_argument('--live', action='store_true', help='play the bag to the real node over DDS')
     p.add_argument(
         '--rate',

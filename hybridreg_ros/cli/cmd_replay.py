@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hybridreg_ros.benchmark.baseline import KissIcpAlone
 from hybridreg_ros.cli.common import write_result
 from hybridreg_ros.core.errors import BagError, ConfigError
 from hybridreg_ros.core.progress import bar, progress
@@ -16,9 +17,10 @@ from hybridreg_ros.replay.session import odometry_config
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     from hybridreg_ros.replay.report import ReportRun
+    from hybridreg_ros.replay.runner import FrameLog
 
 EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
 INTERRUPTED = 'interrupted (Ctrl-C)'
@@ -41,11 +43,11 @@ def run(args: argparse.Namespace) -> int:
 
         check_options(args)
         options = LiveOptions(args.rate, args.domain_id, args.timeout)
-        runs: Iterable[ReportRun] = (replay_live(job, options) for job in jobs)
+        runs: Iterable[ReportRun] = (replay_live(job, options, beside(job)) for job in jobs)
     elif len(jobs) > 1 and (args.workers > 1 or args.scheduler):
         from hybridreg_ros.cli.many import each
 
-        done = each(session.replay, jobs, args.workers, args.scheduler)
+        done = each(_one, jobs, args.workers, args.scheduler)
         runs = progress(done, len(jobs), 'bags', 'bag')
     else:
         runs = map(_offline, jobs)
@@ -71,6 +73,7 @@ def _jobs(args: argparse.Namespace) -> list[session.Job]:
             stride=args.stride,
             max_frames=args.max_frames,
             clouds=not args.no_clouds,
+            compare=not args.no_compare,
         )
         for bag in args.bags
     ]
@@ -91,7 +94,18 @@ def _folder(args: argparse.Namespace, bag: Path) -> Path:
 def _offline(job: session.Job) -> ReportRun:
     _, count = session.planned_frames(job)
     with bar(count, job.bag.name) as shown:
-        return session.replay(job, lambda _: shown.update())
+        return _one(job, lambda _: shown.update())
+
+
+def _one(job: session.Job, tick: Callable[[FrameLog | None], None] | None = None) -> ReportRun:
+    return session.replay(job, tick, beside(job))
+
+
+def beside(job: session.Job) -> session.Beside | None:
+    """kiss-icp alone on the same clouds, unless it is switched off or leads anyway."""
+    if not job.compare or job.config.registrar == 'kiss-icp':
+        return None
+    return session.Beside('kiss-icp alone', KissIcpAlone())
 
 
 def _report(args: argparse.Namespace, jobs: list[session.Job], runs: Iterable[ReportRun]) -> int:
@@ -102,6 +116,7 @@ def _report(args: argparse.Namespace, jobs: list[session.Job], runs: Iterable[Re
     for done, job in zip(runs, jobs, strict=True):
         name = job.bag.stem if len(jobs) > 1 else done.name
         rows.append((name, done.log, done.scores))
+        rows += [(r.name, r.log, r.scores) for r in done.beside]
         results[str(job.bag)] = done.metrics
         for note in done.log.notes:
             print(f'{job.bag}: {note}', file=sys.stderr)
@@ -121,7 +136,7 @@ def _report(args: argparse.Namespace, jobs: list[session.Job], runs: Iterable[Re
     drops = sum(len(log.drops) for _, log, _ in rows)
     if drops:
         print(f'{drops} clouds were not used; metrics.json and report.html say why')
-    folders = ', '.join(str(job.out) for job in jobs[: len(rows)])
+    folders = ', '.join(str(job.out) for job in jobs[: len(results)])
     print(f'written: odometry.tum metrics.json report.html dynamic.mcap in {folders}')
     write_result(args, next(iter(results.values())) if len(jobs) == 1 and results else results)
     return code

@@ -18,6 +18,7 @@ from hybridreg_ros.replay.runner import INTERRUPTED, Drop
 if TYPE_CHECKING:
     import argparse
 
+    from hybridreg_ros.metrics.trajectory import Trajectory
     from hybridreg_ros.replay.report import ReportRun
 
 
@@ -61,12 +62,15 @@ def _said(diagnostics: str) -> list[str]:
     return [f for f in findings if f not in ('', 'ok') and not f.startswith('no cloud for')]
 
 
-def replay_live(job: session.Job, options: LiveOptions) -> ReportRun:
+def replay_live(
+    job: session.Job, options: LiveOptions, beside: session.Beside | None = None
+) -> ReportRun:
     """Play a bag into the real node over DDS; record, score and report what it publishes.
 
     Args:
         job: bag, output folder and settings.
         options: speed, domain, patience.
+        beside: a front end that takes the same clouds afterwards, offline.
 
     Raises:
         DependencyError: rclpy is not installed.
@@ -111,4 +115,16 @@ def replay_live(job: session.Job, options: LiveOptions) -> ReportRun:
             ]
         except KeyboardInterrupt:
             recorder.log.interrupted = INTERRUPTED
-    return session.finish(job, recorder.log, truth, recorder.album.views(), about)
+    runs = [] if beside is None else [_afterwards(job, topic, beside, truth)]
+    views, seen = recorder.album.views(), recorder.seen.scene()
+    return session.finish(job, recorder.log, truth, views, about, seen, runs)
+
+
+def _afterwards(
+    job: session.Job, topic: str, beside: session.Beside, truth: Trajectory | None
+) -> ReportRun:
+    with open_bag(job.bag) as bag:
+        for frame in bag.frames(topic):
+            if frame.scan is not None:
+                beside.take(frame.message, frame.scan)
+    return beside.run(truth)

@@ -8,15 +8,18 @@ import base64
 import json
 from dataclasses import dataclass, field
 from html import escape
+from importlib.util import find_spec
 from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hybridreg_ros.core import se3
+from hybridreg_ros.core.errors import DependencyError
 from hybridreg_ros.core.scan import NS_PER_S
-from hybridreg_ros.metrics.trajectory import Trajectory, aligned, associate, step_errors
-from hybridreg_ros.replay import charts, pictures, report_tables
+from hybridreg_ros.odometry.warm_up import SCANS
+from hybridreg_ros.replay import charts, pictures, report_tables, scene, story
 from hybridreg_ros.replay.outputs import plain
 
 if TYPE_CHECKING:
@@ -24,8 +27,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hybridreg_ros.metrics.trajectory import Trajectory
     from hybridreg_ros.replay.outputs import Scores
-    from hybridreg_ros.replay.runner import ReplayLog
+    from hybridreg_ros.replay.runner import FrameLog, ReplayLog
 
 REFERENCE_STYLE = 9
 
@@ -41,6 +45,8 @@ class ReportRun:
         truth: the reference, None when there is none.
         views: frames to show with their mask.
         metrics: content of metrics.json, shown folded.
+        scene: what the 3D view shows, None for no view.
+        beside: other runs on the same clouds.
     """
 
     name: str
@@ -49,46 +55,43 @@ class ReportRun:
     truth: Trajectory | None = None
     views: Sequence[pictures.FrameView] = ()
     metrics: Mapping[str, Any] = field(default_factory=dict)
+    scene: scene.Scene | None = None
+    beside: tuple[ReportRun, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class _Errors:
-    """Errors over time of one run against the truth."""
+def plotly_script() -> str:
+    """The text of the library that draws the 3D view.
 
-    seconds: NDArray[np.float64]
-    position_m: NDArray[np.float64]
-    step_mm: NDArray[np.float64]
-    path: NDArray[np.float64]
-    truth_path: NDArray[np.float64]
+    Raises:
+        DependencyError: plotly is not installed.
+    """
+    found = find_spec('plotly')
+    if found is None or found.origin is None:
+        raise DependencyError("reports need plotly: pip install 'hybridreg_ros[replay]'")
+    return (Path(found.origin).parent / 'package_data' / 'plotly.min.js').read_text('utf-8')
 
 
-def _errors(run: ReportRun, start: int) -> _Errors | None:
+def _errors(run: ReportRun) -> story.FrameErrors | None:
     if run.truth is None or run.scores.trajectory is None:
         return None
-    estimate = run.log.trajectory()
-    rows, others = associate(estimate, run.truth)
-    est, ref = estimate.poses[rows], run.truth.poses[others]
-    moved = aligned(est, ref)
-    metres, _ = step_errors(est, ref)
-    return _Errors(
-        seconds=(estimate.stamps[rows] - start) / NS_PER_S,
-        position_m=np.linalg.norm(moved[:, :3, 3] - ref[:, :3, 3], axis=1),
-        step_mm=np.concatenate([[np.nan], 1000.0 * metres]),
-        path=moved[:, :3, 3],
-        truth_path=ref[:, :3, 3],
-    )
+    return story.frame_errors(run.log, run.truth)
 
 
-def _figure(chart: str, caption: str, readout: bool = True) -> str:
-    output = '<output aria-live="polite"></output>' if readout else ''
-    return f'<figure>{chart}{output}<figcaption>{escape(caption)}</figcaption></figure>'
+def _seconds(frames: Sequence[FrameLog], start: int) -> NDArray[np.float64]:
+    return np.array([(f.stamp - start) / NS_PER_S for f in frames], np.float64)
+
+
+def _figure(chart: str, caption: str, shows: str = '') -> str:
+    """A chart below its caption; `shows` names the values of a frame that it can read out."""
+    output = f'<output data-shows="{shows}" aria-live="polite"></output>' if shows else ''
+    return f'<figure><figcaption>{escape(caption)}</figcaption>{chart}{output}</figure>'
 
 
 def _section(heading: str, body: str) -> str:
     return f'<section><h2>{escape(heading)}</h2>{body}</section>'
 
 
-def _trajectories(runs: Sequence[ReportRun], errors: Sequence[_Errors | None]) -> str:
+def _trajectories(runs: Sequence[ReportRun], errors: Sequence[story.FrameErrors | None]) -> str:
     """Paths on the two axes along which they extend most."""
     scored = [(i, r, e) for i, (r, e) in enumerate(zip(runs, errors, strict=True)) if e]
     if scored:
@@ -108,23 +111,28 @@ def _trajectories(runs: Sequence[ReportRun], errors: Sequence[_Errors | None]) -
     chart = charts.plan_chart(series, f'{"xyz"[a]} (m)', f'{"xyz"[b]} (m)', label)
     how = ', aligned to the truth by one rigid transform' if scored else ''
     caption = f'Paths{how}, on the two axes of largest extent. The ring marks the start.'
-    return _section('Trajectory', _figure(chart, caption, readout=False))
+    return _section('Trajectory', _figure(chart, caption))
 
 
-def _error_charts(runs: Sequence[ReportRun], errors: Sequence[_Errors | None]) -> str:
+def _error_charts(
+    runs: Sequence[ReportRun], errors: Sequence[story.FrameErrors | None], start: int
+) -> str:
     scored = [(i, r, e) for i, (r, e) in enumerate(zip(runs, errors, strict=True)) if e]
     if not scored:
         return ''
-    position = [charts.Series(r.name, e.seconds, e.position_m, i) for i, r, e in scored]
-    step = [charts.Series(r.name, e.seconds, e.step_mm, i) for i, r, e in scored]
     names = ', '.join(r.name for _, r, _ in scored)
-    body = _figure(
-        charts.time_chart(position, 'position error (m)', f'Position error over time: {names}.'),
-        'Distance to the true position after alignment of the whole path.',
-    ) + _figure(
-        charts.time_chart(step, 'step error (mm)', f'Step error over time: {names}.'),
-        'Translation error of each step from one frame to the next.',
-    )
+    body = ''
+    for what, key, caption in (
+        ('position_mm', 'ep', 'Distance to the true position after alignment of the whole path.'),
+        ('step_mm', 'e', 'Translation error of each step from one frame to the next.'),
+    ):
+        series = [
+            charts.Series(r.name, _seconds(r.log.frames, start)[e.rows], getattr(e, what), i)
+            for i, r, e in scored
+        ]
+        title = f'{"position" if key == "ep" else "step"} error'
+        chart = charts.time_chart(series, f'{title} (mm)', f'{title} over time: {names}.')
+        body += _figure(chart, caption, key)
     return _section('Error of each frame', body)
 
 
@@ -144,7 +152,7 @@ def _confidence(run: ReportRun, start: int) -> str:
     frames = run.log.frames
     if not frames:
         return ''
-    seconds = np.array([(f.stamp - start) / NS_PER_S for f in frames])
+    seconds = _seconds(frames, start)
     confidence = np.array([f.confidence for f in frames], dtype=np.float64)
     body = ''
     if np.isfinite(confidence).any():
@@ -155,25 +163,26 @@ def _confidence(run: ReportRun, start: int) -> str:
             _bands(seconds, [f.source for f in frames]),
             (0.0, 1.05),
         )
+        names = {'hybridreg': 'the network', 'kiss_icp': 'kiss-icp', 'lost': 'lost'}
         key = ''.join(
-            f'<li><span class="swatch {kind}"></span>{text}</li>'
-            for kind, text in (
-                ('hybridreg', 'the network'),
-                ('kiss_icp', 'kiss-icp'),
-                ('lost', 'lost'),
-            )
+            f'<li><span class="swatch {kind}"></span>{text}</li>' for kind, text in names.items()
         )
         body = _figure(
             f'{chart}<ul class="legend" aria-label="background">{key}</ul>',
             'Probability that the pose is right; the background says which branch made it.',
+            'c s',
         )
     total = np.array([1000.0 * f.seconds.get('total', np.nan) for f in frames])
-    if np.isfinite(total).any():
+    later = total[SCANS - 1 :]
+    if np.isfinite(later).any():
+        first = ', '.join(f'{ms:.0f}' for ms in total[: SCANS - 1])
         body += _figure(
             charts.time_chart(
-                [charts.Series('one step', seconds, total, 2)], 'ms', 'Time per frame.'
+                [charts.Series('one step', seconds[SCANS - 1 :], later, 2)], 'ms', 'Time per frame'
             ),
-            'Time of one step of the front end.',
+            'Time of one step of the front end. The first steps load code and compile it where '
+            f'that is new; they are not drawn: {first} ms.',
+            'm',
         )
     return _section(f'Confidence, source and time: {run.name}', body) if body else ''
 
@@ -208,26 +217,62 @@ def _pictures(run: ReportRun, start: int) -> str:
     return _section('Frames seen from the sensor', body)
 
 
-def _frame_rows(run: ReportRun, errors: _Errors | None, start: int) -> list[dict[str, Any]]:
-    """Data behind the readout of the charts."""
-    step = {}
-    if errors is not None:
-        step = {round(t * 1000): e for t, e in zip(errors.seconds, errors.step_mm, strict=True)}
+def _frame_rows(
+    run: ReportRun, errors: story.FrameErrors | None, start: int
+) -> list[dict[str, Any]]:
+    """What the charts read out and the 3D view draws, one entry per frame."""
+    of = {} if errors is None else {int(k): i for i, k in enumerate(errors.rows)}
     rows = []
-    for f in run.log.frames:
-        t = (f.stamp - start) / NS_PER_S
-        rows.append(
-            {
-                't': round(t, 4),
-                's': f.source,
-                'c': round(f.confidence, 3),
-                'e': round(float(step.get(round(t * 1000), np.nan)), 2),
-                'm': round(1000.0 * f.seconds.get('total', np.nan), 1),
-                'p': f.points,
-                'd': f.dynamic,
-            }
-        )
+    turned = run.scene or scene.Scene(np.zeros((0, 3), np.float32), 0.0)
+    for k, f in enumerate(run.log.frames):
+        row = {
+            't': round((f.stamp - start) / NS_PER_S, 4),
+            's': f.source.replace('_', '-').replace('hybridreg', 'network'),
+            'c': round(f.confidence, 3),
+            'm': round(1000.0 * f.seconds.get('total', np.nan), 1),
+            'p': f.points,
+            'd': f.dynamic,
+            'x': np.round(turned.upright(f.pose[None, :3, 3])[0], 4),
+        }
+        if errors is not None and k in of:
+            row['e'] = round(float(errors.step_mm[of[k]]), 2)
+            row['ep'] = round(float(errors.position_mm[of[k]]), 2)
+        rows.append(row)
     return rows
+
+
+def _scene(run: ReportRun, errors: story.FrameErrors | None, start: int) -> dict[str, Any]:
+    """Data of the 3D view; empty for none."""
+    if run.scene is None or not run.log.frames or not len(run.scene.still):
+        return {}
+    data = scene.for_page(run.scene, start)
+    if errors is not None:
+        truth = se3.apply(errors.T_odom_world, errors.truth_path)
+        data['truth'] = np.round(run.scene.upright(truth), 3)
+    return data
+
+
+def _worst(run: ReportRun, errors: story.FrameErrors | None, start: int) -> str:
+    """The story's last line: links to the frames to look at first."""
+    links = ', '.join(
+        f'<a href="#scene" data-frame="{row}">{(run.log.frames[row].stamp - start) / NS_PER_S:.2f}'
+        f' s</a> ({escape(why)})'
+        for row, why in story.worst(run.log, errors)
+    )
+    return f'<li>Look first at {links}.</li>' if links else ''
+
+
+def _scene_section(run: ReportRun, errors: story.FrameErrors | None) -> str:
+    colour = 'step error' if errors is not None else 'confidence'
+    caption = (
+        f'What stood still (grey), thinned to one point per {1000 * run.scene.voxel_m:.0f} mm, '
+        f'the path coloured by {colour}, keyframes (squares), and what moves in the chosen frame '
+        '(orange). Drag or use the arrow keys to turn, wheel or + and - to zoom.'
+        if run.scene is not None
+        else ''
+    )
+    body = Path(__file__).with_name('report_scene.html').read_text('utf-8')
+    return _section('The scene', f'<p class="soft">{escape(caption)}</p>{body}')
 
 
 def write_report(path: Path, title: str, subtitle: str, runs: Sequence[ReportRun]) -> None:
@@ -242,11 +287,15 @@ def write_report(path: Path, title: str, subtitle: str, runs: Sequence[ReportRun
     first = runs[0]
     stamps = [f.stamp for r in runs for f in r.log.frames]
     start = min(stamps, default=0)
-    errors = [_errors(r, start) for r in runs]
+    errors = [_errors(r) for r in runs]
+    others = [(r.name, r.scores) for r in runs[1:]]
+    told = story.sentences(first.log, first.scores, start, others)
+    view = _scene(first, errors[0], start)
     sections = (
+        _scene_section(first, errors[0]) if view else '',
         _section('Scores', report_tables.score_table([(r.name, r.log, r.scores) for r in runs])),
         _trajectories(runs, errors),
-        _error_charts(runs, errors),
+        _error_charts(runs, errors, start),
         _confidence(first, start),
         _pictures(first, start),
         _section('Time per stage', report_tables.time_table(first.log))
@@ -256,14 +305,22 @@ def write_report(path: Path, title: str, subtitle: str, runs: Sequence[ReportRun
         report_tables.provenance(first.metrics),
     )
     template = Template(Path(__file__).with_suffix('.html').read_text('utf-8'))
-    frames = json.dumps(plain(_frame_rows(first, errors[0], start)), separators=(',', ':'))
     page = template.substitute(
         title=escape(title),
         subtitle=escape(subtitle),
+        story=''.join(f'<li>{escape(t)}</li>' for t in told) + _worst(first, errors[0], start),
         notices=report_tables.notices(first.log, first.scores),
         tiles=report_tables.tiles(first.log, first.scores),
         sections=''.join(sections),
-        frames=frames.replace('</', '<\\/'),
+        frames=_json(_frame_rows(first, errors[0], start)),
+        scene=_json(view),
+        plotly=f'<script>{plotly_script()}</script>' if view else '',
+        script=Path(__file__).with_suffix('.js').read_text('utf-8'),
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(page, encoding='utf-8')
+
+
+def _json(value: Any) -> str:
+    """JSON that may stand inside a script element."""
+    return json.dumps(plain(value), separators=(',', ':')).replace('</', '<\\/')

@@ -33,7 +33,7 @@ def _number(value: float | None, digits: int) -> str:
 
 def _trajectory_cells(t: TrajectoryScore) -> list[str]:
     return [
-        _number(t.ate_rmse_m, 4),
+        _number(1000.0 * t.ate_rmse_m, 1),
         _number(t.ate_percent, 2),
         _number(t.step_mean_mm, 1),
         _number(t.step_mean_deg, 3),
@@ -43,7 +43,7 @@ def _trajectory_cells(t: TrajectoryScore) -> list[str]:
 
 def score_rows(runs: Sequence[Row]) -> list[list[str]]:
     """Header and one row per run, as text."""
-    header = ['run', 'frames', 'ATE m', 'ATE %', 'step mm', 'step deg', 'drift %']
+    header = ['run', 'frames', 'ATE mm', 'ATE %', 'step mm', 'step deg', 'drift %']
     header += ['IoU', 'precision', 'recall', 'ms/frame', 'network', 'kiss-icp', 'lost']
     rows = [header]
     for name, log, scores in runs:
@@ -124,12 +124,8 @@ def drop_table(log: ReplayLog, start: int) -> str:
 
 
 def notices(log: ReplayLog, scores: Scores) -> str:
-    """What a reader must know first: an early end, clouds lost, a missing score."""
+    """What a reader must know first: remarks on the clouds, a doubtful or missing score."""
     texts = [f'Note: {note}.' for note in log.notes]
-    if log.interrupted:
-        texts.append(f'This run ended early: {log.interrupted}.')
-    if log.drops:
-        texts.append(f'{len(log.drops)} clouds were not used; they are listed below.')
     if scores.warning:
         texts.append(f'{scores.warning}.')
     if scores.note:
@@ -138,21 +134,27 @@ def notices(log: ReplayLog, scores: Scores) -> str:
 
 
 def tiles(log: ReplayLog, scores: Scores) -> str:
-    """The few figures that count, as list items."""
+    """The few figures that count, as list items; those that are not known are left out."""
     items = [('frames', str(len(log.frames)))]
     if scores.trajectory is not None:
         t = scores.trajectory
         items += [
-            ('ATE (m)', _number(t.ate_rmse_m, 4)),
+            ('ATE (mm)', _number(1000.0 * t.ate_rmse_m, 1)),
             ('mean step error (mm)', _number(t.step_mean_mm, 1)),
             ('path (m)', _number(t.path_m, 2)),
         ]
+    else:
+        items.append(('path (m)', _number(log.trajectory().path_m, 2)))
     if scores.mask is not None:
         items.append(('IoU of the moving class', _number(scores.mask.iou, 3)))
     total = stage_times(log.frames).get('total')
     if total is not None:
         items.append(('median ms per frame', _number(total['median'], 1)))
-    return ''.join(f'<li><strong>{value}</strong>{escape(name)}</li>' for name, value in items)
+    return ''.join(
+        f'<li><strong>{value}</strong>{escape(name)}</li>'
+        for name, value in items
+        if value != MISSING
+    )
 
 
 def provenance(metrics: Mapping[str, Any]) -> str:

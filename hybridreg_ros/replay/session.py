@@ -18,16 +18,20 @@ from hybridreg_ros.replay.bag_reader import open_bag
 from hybridreg_ros.replay.interrupt import StopRequest
 from hybridreg_ros.replay.pictures import Album
 from hybridreg_ros.replay.report import ReportRun, write_report
+from hybridreg_ros.replay.scene import SceneSink
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    from hybridreg_ros.core.scan import Scan
     from hybridreg_ros.metrics.trajectory import Trajectory
     from hybridreg_ros.odometry.frontend import HybridOdometry
+    from hybridreg_ros.odometry.result import OdometryResult
     from hybridreg_ros.replay.bag_reader import Bag
     from hybridreg_ros.replay.pictures import FrameView
     from hybridreg_ros.replay.runner import FrameLog, ReplayLog
+    from hybridreg_ros.replay.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,7 @@ class Job:
         stride: take every n-th cloud.
         max_frames: stop after so many.
         clouds: write dynamic and static clouds into dynamic.mcap.
+        compare: run kiss-icp alone beside it.
     """
 
     bag: Path
@@ -61,6 +66,7 @@ class Job:
     stride: int = 1
     max_frames: int | None = None
     clouds: bool = True
+    compare: bool = True
 
 
 def odometry_config(path: Path | None, registrar: str | None = None) -> OdometryConfig:
@@ -116,7 +122,38 @@ def planned_frames(job: Job) -> tuple[str, int]:
     return topic, count if job.max_frames is None else min(count, job.max_frames)
 
 
-def replay(job: Job, tick: Callable[[FrameLog | None], None] | None = None) -> ReportRun:
+class Beside:
+    """Another front end on the same clouds: a sink that keeps a log of its own.
+
+    Args:
+        name: in the report.
+        front_end: takes one scan after the other.
+    """
+
+    def __init__(self, name: str, front_end: runner.FrontEnd) -> None:
+        self.name = name
+        self.log = runner.ReplayLog()
+        self._front_end = front_end
+
+    def add(self, message: Any, result: OdometryResult) -> None:
+        """Let it take the scan of a result."""
+        self.take(message, result.scan)
+
+    def take(self, message: Any, scan: Scan) -> None:
+        """Let it take a scan and the message it came from."""
+        self.log.frames.append(runner.log_frame(message, self._front_end.step(scan)))
+
+    def run(self, truth: Trajectory | None) -> ReportRun:
+        """Its part of the report; it says nothing about moving points."""
+        scores = dataclasses.replace(outputs.score_log(self.log, truth), mask=None)
+        return ReportRun(self.name, self.log, scores, truth)
+
+
+def replay(
+    job: Job,
+    tick: Callable[[FrameLog | None], None] | None = None,
+    beside: Beside | None = None,
+) -> ReportRun:
     """Send a bag through the front end offline and write all results.
 
     After Ctrl-C or at a damaged place of the bag, the results so far are written all the same.
@@ -124,6 +161,7 @@ def replay(job: Job, tick: Callable[[FrameLog | None], None] | None = None) -> R
     Args:
         job: what to do.
         tick: called after each cloud.
+        beside: a front end to compare with, None for none.
 
     Raises:
         BagError: the bag cannot be opened or has no usable topic.
@@ -133,7 +171,8 @@ def replay(job: Job, tick: Callable[[FrameLog | None], None] | None = None) -> R
     threshold = job.config.dynamics.threshold
     front_end = open_front_end(job.config, job.weights)
     job.out.mkdir(parents=True, exist_ok=True)
-    album = Album(count, threshold=threshold)
+    album, seen = Album(count, threshold=threshold), SceneSink(threshold)
+    also = () if beside is None else (beside,)
     with contextlib.ExitStack() as stack:
         bag = stack.enter_context(open_bag(job.bag))
         truth = truth_of(job, bag)
@@ -145,7 +184,7 @@ def replay(job: Job, tick: Callable[[FrameLog | None], None] | None = None) -> R
         log = runner.run(
             (f if f.scan is None else f._replace(scan=front_end.seen(f.scan)) for f in frames),
             front_end,
-            (tum, made, album),
+            (tum, made, album, seen, *also),
             job.stride,
             job.max_frames,
             threshold,
@@ -158,7 +197,8 @@ def replay(job: Job, tick: Callable[[FrameLog | None], None] | None = None) -> R
     if job.config.registrar == 'hybridreg' and not front_end.has_network:
         log.notes.append('no network weights: kiss-icp registers every scan')
     about = {'topic': topic, 'stride': job.stride, 'live': False, 'recovered': recovered}
-    return finish(job, log, truth, album.views(), about)
+    runs = [b.run(truth) for b in also]
+    return finish(job, log, truth, album.views(), about, seen.scene(), runs)
 
 
 def finish(
@@ -167,6 +207,8 @@ def finish(
     truth: Trajectory | None,
     views: list[FrameView],
     about: dict[str, Any],
+    scene: Scene | None = None,
+    beside: Sequence[ReportRun] = (),
 ) -> ReportRun:
     """Score a run, live or offline, and write metrics.json and report.html.
 
@@ -176,19 +218,21 @@ def finish(
         truth: reference, None without.
         views: frames for the pictures.
         about: further entries of metrics.json.
+        scene: what the 3D view shows.
+        beside: other runs on the same clouds.
     """
     scores = outputs.score_log(log, truth)
     metrics = outputs.metrics_of(
         log, scores, to_dict(job.config), job.bag, registrar=job.config.registrar, **about
     )
     outputs.write_json(job.out / 'metrics.json', metrics)
-    run = ReportRun(job.config.registrar, log, scores, truth, views, metrics)
+    run = ReportRun(job.config.registrar, log, scores, truth, views, metrics, scene, tuple(beside))
     mode = 'through the node, live' if about.get('live') else 'offline'
     write_report(
         job.out / 'report.html',
         f'Replay of {job.bag.name}',
         f'{len(log.frames)} frames {mode}, front end {job.config.registrar}, '
         f'{log.wall_s:.1f} s of computation',
-        [run],
+        [run, *beside],
     )
     return run

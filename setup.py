@@ -33,8 +33,8 @@ setup(
             'model/weights/*.safetensors',
             'odometry/selection/*.json',
             'ros/*.xml',
-            'replay/*.html',
-            'replay/*.js',
+            'replay/page/*.html',
+            'replay/page/*.js',
         ],
     },
     data_files=[

@@ -264,6 +264,13 @@ def _replay(commands: Commands) -> None:
     p.add_argument('--max-frames', type=COUNT, metavar='N', help='stop after N clouds')
     p.add_argument('--no-clouds', action='store_true', help='write no clouds to dynamic.mcap')
     p.add_argument(
+        '--map',
+        type=Path,
+        metavar='FILE',
+        help='write what stands still as .ply or .pcd, without what other scans saw through',
+    )
+    p.add_argument('--moving', type=Path, metavar='FILE', help='write what moved as .ply or .pcd')
+    p.add_argument(
         '--no-compare', action='store_true', help='do not run kiss-icp alone on the same clouds'
     )
     p.add_argument('--live', action='store_true', help='play the bag to the real node over DDS')

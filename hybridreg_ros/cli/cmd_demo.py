@@ -13,8 +13,9 @@ from hybridreg_ros.benchmark.baseline import KissIcpAlone
 from hybridreg_ros.cli.common import write_result
 from hybridreg_ros.cli.live import LiveOptions, replay_live
 from hybridreg_ros.core.progress import progress
-from hybridreg_ros.replay import report, report_tables, session
+from hybridreg_ros.replay import session
 from hybridreg_ros.replay.bag_writer import BagWriter
+from hybridreg_ros.replay.page import report, tables
 from hybridreg_ros.replay.recording import simulated, write_recording
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     rows = [(r.name, r.log, r.scores) for r in (ours, alone)]
     for note in ours.log.notes:
         print(note)
-    print(report_tables.text_table(report_tables.score_rows(rows)))
+    print(tables.text_table(tables.score_rows(rows)))
     print(f'report: {page}   bag: {bag}   {time.perf_counter() - start:.0f} s')
     write_result(args, {'bag': bag, 'live': ours.metrics, 'kiss_icp_alone': alone.scores})
     if ours.log.useless:

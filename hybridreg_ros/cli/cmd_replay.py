@@ -12,18 +12,21 @@ from hybridreg_ros.benchmark.baseline import KissIcpAlone
 from hybridreg_ros.cli.common import write_result
 from hybridreg_ros.core.errors import BagError, ConfigError
 from hybridreg_ros.core.progress import bar, progress
-from hybridreg_ros.replay import report_tables, session
+from hybridreg_ros.replay import session
+from hybridreg_ros.replay.page import tables
 from hybridreg_ros.replay.session import odometry_config
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Iterable
 
-    from hybridreg_ros.replay.report import ReportRun
+    from hybridreg_ros.replay.clean_map import MapReport
+    from hybridreg_ros.replay.page.report import ReportRun
     from hybridreg_ros.replay.runner import FrameLog
 
 EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
 INTERRUPTED = 'interrupted (Ctrl-C)'
+CLOUDS = ('.ply', '.pcd', '.npy', '.npz', '.bin')
 
 
 def run(args: argparse.Namespace) -> int:
@@ -74,6 +77,8 @@ def _jobs(args: argparse.Namespace) -> list[session.Job]:
             max_frames=args.max_frames,
             clouds=not args.no_clouds,
             compare=not args.no_compare,
+            map=_own(args, args.map, bag),
+            moving=_own(args, args.moving, bag),
         )
         for bag in args.bags
     ]
@@ -89,6 +94,13 @@ def _folder(args: argparse.Namespace, bag: Path) -> Path:
         return Path('out') / bag.stem
     out: Path = args.out
     return out if len(args.bags) == 1 else out / bag.stem
+
+
+def _own(args: argparse.Namespace, path: Path | None, bag: Path) -> Path | None:
+    """A file of one bag: as named, or of that name in the folder of each of several bags."""
+    if path is not None and path.suffix.lower() not in CLOUDS:
+        raise ConfigError(f'{path}: expected a file ending in {", ".join(CLOUDS)}')
+    return path if path is None or len(args.bags) == 1 else _folder(args, bag) / path.name
 
 
 def _offline(job: session.Job) -> ReportRun:
@@ -118,6 +130,8 @@ def _report(args: argparse.Namespace, jobs: list[session.Job], runs: Iterable[Re
         rows.append((name, done.log, done.scores))
         rows += [(r.name, r.log, r.scores) for r in done.beside]
         results[str(job.bag)] = done.metrics
+        if 'map' in done.metrics:
+            print(f'{job.bag}: {_said(done.metrics["map"])}')
         for note in done.log.notes:
             print(f'{job.bag}: {note}', file=sys.stderr)
         if done.log.interrupted:
@@ -132,7 +146,7 @@ def _report(args: argparse.Namespace, jobs: list[session.Job], runs: Iterable[Re
             print(f'{job.bag}: {done.scores.warning}', file=sys.stderr)
         if done.scores.note:
             print(f'{job.bag}: no trajectory score: {done.scores.note}', file=sys.stderr)
-    print(report_tables.text_table(report_tables.score_rows(rows)))
+    print(tables.text_table(tables.score_rows(rows)))
     drops = sum(len(log.drops) for _, log, _ in rows)
     if drops:
         print(f'{drops} clouds were not used; metrics.json and report.html say why')
@@ -140,3 +154,17 @@ def _report(args: argparse.Namespace, jobs: list[session.Job], runs: Iterable[Re
     print(f'written: odometry.tum metrics.json report.html dynamic.mcap in {folders}')
     write_result(args, next(iter(results.values())) if len(jobs) == 1 and results else results)
     return code
+
+
+def _said(made: MapReport) -> str:
+    """A map in one line."""
+    text = (
+        f'map of {made.written} points; of {made.points} seen, {made.moving} moved and '
+        f'{made.ghosts} more were seen through by other scans'
+    )
+    if made.static_accuracy is None or made.dynamic_accuracy is None:
+        return text
+    return (
+        f'{text}; kept {100 * made.static_accuracy:.1f} % of what stands still, took out '
+        f'{100 * made.dynamic_accuracy:.1f} % of what moves'
+    )

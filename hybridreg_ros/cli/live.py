@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import argparse
 
     from hybridreg_ros.metrics.trajectory import Trajectory
-    from hybridreg_ros.replay.report import ReportRun
+    from hybridreg_ros.replay.page.report import ReportRun
 
 
 @dataclass(frozen=True)
@@ -50,6 +50,8 @@ def check_options(args: argparse.Namespace) -> None:
         '--time-field': args.time_field != '',
         '--weights': args.weights is not None,
         '--no-clouds': args.no_clouds,
+        '--map': args.map is not None,
+        '--moving': args.moving is not None,
     }
     for option, used in refused.items():
         if used:

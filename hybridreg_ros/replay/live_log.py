@@ -19,9 +19,9 @@ from hybridreg_ros.metrics.mask import MaskCounts
 from hybridreg_ros.odometry.result import LOST_VARIANCE, Source
 from hybridreg_ros.replay.bag_writer import BagWriter
 from hybridreg_ros.replay.outputs import DYNAMIC_TOPIC, ODOM_TOPIC, STATIC_TOPIC
-from hybridreg_ros.replay.pictures import Album, FrameView
+from hybridreg_ros.replay.page.pictures import Album, FrameView
+from hybridreg_ros.replay.page.scene import SceneSink
 from hybridreg_ros.replay.runner import FrameLog, ReplayLog, true_dynamic
-from hybridreg_ros.replay.scene import SceneSink
 from hybridreg_ros.replay.trajectory_io import tum_row
 
 if TYPE_CHECKING:

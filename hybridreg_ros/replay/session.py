@@ -11,14 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 from hybridreg_ros.core.config import load_yaml, to_dict
 from hybridreg_ros.core.pages import one_heap
+from hybridreg_ros.data.loaders.clouds import write_cloud
 from hybridreg_ros.metrics.extrinsic import extrinsic_of, follow
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.replay import outputs, runner
 from hybridreg_ros.replay.bag_reader import open_bag
+from hybridreg_ros.replay.clean_map import CleanMap, MapReport, MapSink
 from hybridreg_ros.replay.interrupt import StopRequest
-from hybridreg_ros.replay.pictures import Album
-from hybridreg_ros.replay.report import ReportRun, write_report
-from hybridreg_ros.replay.scene import SceneSink
+from hybridreg_ros.replay.page.pictures import Album
+from hybridreg_ros.replay.page.report import ReportRun, write_report
+from hybridreg_ros.replay.page.scene import SceneSink
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -29,9 +31,9 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.frontend import HybridOdometry
     from hybridreg_ros.odometry.result import OdometryResult
     from hybridreg_ros.replay.bag_reader import Bag
-    from hybridreg_ros.replay.pictures import FrameView
+    from hybridreg_ros.replay.page.pictures import FrameView
+    from hybridreg_ros.replay.page.scene import Scene
     from hybridreg_ros.replay.runner import FrameLog, ReplayLog
-    from hybridreg_ros.replay.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,8 @@ class Job:
         max_frames: stop after so many.
         clouds: write dynamic and static clouds into dynamic.mcap.
         compare: run kiss-icp alone beside it.
+        map: file (.ply, .pcd, ...) for the cleaned map, None for none.
+        moving: file for the points that moved.
     """
 
     bag: Path
@@ -67,6 +71,8 @@ class Job:
     max_frames: int | None = None
     clouds: bool = True
     compare: bool = True
+    map: Path | None = None
+    moving: Path | None = None
 
 
 def odometry_config(path: Path | None, registrar: str | None = None) -> OdometryConfig:
@@ -173,18 +179,22 @@ def replay(
     job.out.mkdir(parents=True, exist_ok=True)
     album, seen = Album(count, threshold=threshold), SceneSink(threshold)
     also = () if beside is None else (beside,)
+    wanted = job.map is not None or job.moving is not None
     with contextlib.ExitStack() as stack:
         bag = stack.enter_context(open_bag(job.bag))
         truth = truth_of(job, bag)
         tum = stack.enter_context(contextlib.closing(outputs.TumFile(job.out / 'odometry.tum')))
         made = outputs.OutputBag(job.out / 'dynamic.mcap', job.clouds, threshold)
         stack.enter_context(contextlib.closing(made))
+        mapped = [MapSink(job.out, threshold, job.config)] if wanted else []
+        for sink in mapped:
+            stack.enter_context(contextlib.closing(sink))
         stop = stack.enter_context(StopRequest())
         frames = bag.frames(topic, job.time_unit, job.time_field)
         log = runner.run(
             (f if f.scan is None else f._replace(scan=front_end.seen(f.scan)) for f in frames),
             front_end,
-            (tum, made, album, seen, *also),
+            (tum, made, album, seen, *mapped, *also),
             job.stride,
             job.max_frames,
             threshold,
@@ -192,13 +202,22 @@ def replay(
             stop,
         )
         recovered = bag.recovered
+        about: dict[str, Any] = {'map': _write_map(job, mapped[0].make())} if mapped else {}
     if recovered is not None:
         log.notes.append(f'the bag is cut off, {recovered} messages were recovered')
     if job.config.registrar == 'hybridreg' and not front_end.has_network:
         log.notes.append('no network weights: kiss-icp registers every scan')
-    about = {'topic': topic, 'stride': job.stride, 'live': False, 'recovered': recovered}
+    about |= {'topic': topic, 'stride': job.stride, 'live': False, 'recovered': recovered}
     runs = [b.run(truth) for b in also]
     return finish(job, log, truth, album.views(), about, seen.scene(), runs)
+
+
+def _write_map(job: Job, made: CleanMap) -> MapReport:
+    for path, points in ((job.map, made.still), (job.moving, made.moving)):
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_cloud(path, points)
+    return made.report
 
 
 def finish(

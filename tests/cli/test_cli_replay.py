@@ -20,7 +20,7 @@ from hybridreg_ros.cli.main import main
 from hybridreg_ros.core.pointcloud2 import CloudData, from_arrays
 from hybridreg_ros.replay.bag_reader import open_bag
 from hybridreg_ros.replay.bag_writer import BagWriter
-from hybridreg_ros.replay.report import plotly_script
+from hybridreg_ros.replay.page.report import plotly_script
 
 KISS = ['--registrar', 'kiss-icp']
 OUTPUTS = {'odometry.tum', 'metrics.json', 'report.html', 'dynamic.mcap'}

@@ -25,9 +25,10 @@ from hybridreg_ros.core.pointcloud2 import from_arrays
 from hybridreg_ros.core.quaternion import to_quaternion
 from hybridreg_ros.metrics.mask import MaskCounts
 from hybridreg_ros.metrics.trajectory import Trajectory
-from hybridreg_ros.replay import charts, outputs, pictures, report, report_tables, scene, story
+from hybridreg_ros.replay import outputs
 from hybridreg_ros.replay.bag_reader import open_bag
 from hybridreg_ros.replay.live_log import LiveRecorder
+from hybridreg_ros.replay.page import charts, pictures, report, scene, story, tables
 from hybridreg_ros.replay.runner import Drop, FrameLog, ReplayLog
 
 if TYPE_CHECKING:
@@ -256,8 +257,8 @@ def test_scene_of_a_camera_stands_upright() -> None:
 
 def test_text_table_is_aligned() -> None:
     log = run_log()
-    rows = report_tables.score_rows([('a', log, outputs.score_log(log, None))])
-    lines = report_tables.text_table(rows).splitlines()
+    rows = tables.score_rows([('a', log, outputs.score_log(log, None))])
+    lines = tables.text_table(rows).splitlines()
     assert len({len(line) for line in lines}) == 1
     assert lines[0].startswith('run')
     assert lines[2].split()[1] == '6'

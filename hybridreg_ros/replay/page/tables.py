@@ -99,7 +99,9 @@ def score_table(runs: Sequence[Row]) -> str:
         'to the next. Drift: mean error of path segments. IoU, precision, recall: points called '
         'moving against true labels.</p>'
     )
-    return note + _html_table([list(column) for column in zip(*score_rows(runs), strict=True)])
+    columns = [list(column) for column in zip(*score_rows(runs), strict=True)]
+    known = [c for c in columns if any(cell != MISSING for cell in c[1:])]
+    return note + _html_table(known)
 
 
 def time_table(log: ReplayLog) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from hybridreg_ros.core import se3
 from hybridreg_ros.odometry.map.thinning import first_per_voxel
 from hybridreg_ros.odometry.result import Source
-from hybridreg_ros.replay.pictures import is_optical
+from hybridreg_ros.replay.page.pictures import is_optical
 from hybridreg_ros.replay.runner import DYNAMIC_THRESHOLD
 
 if TYPE_CHECKING:

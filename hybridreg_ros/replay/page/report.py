@@ -19,8 +19,8 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import DependencyError
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.warm_up import SCANS
-from hybridreg_ros.replay import charts, pictures, report_tables, scene, story
 from hybridreg_ros.replay.outputs import plain
+from hybridreg_ros.replay.page import charts, pictures, scene, story, tables
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -293,24 +293,22 @@ def write_report(path: Path, title: str, subtitle: str, runs: Sequence[ReportRun
     view = _scene(first, errors[0], start)
     sections = (
         _scene_section(first, errors[0]) if view else '',
-        _section('Scores', report_tables.score_table([(r.name, r.log, r.scores) for r in runs])),
+        _section('Scores', tables.score_table([(r.name, r.log, r.scores) for r in runs])),
         _trajectories(runs, errors),
         _error_charts(runs, errors, start),
         _confidence(first, start),
         _pictures(first, start),
-        _section('Time per stage', report_tables.time_table(first.log))
-        if first.log.frames
-        else '',
-        report_tables.drop_table(first.log, start),
-        report_tables.provenance(first.metrics),
+        _section('Time per stage', tables.time_table(first.log)) if first.log.frames else '',
+        tables.drop_table(first.log, start),
+        tables.provenance(first.metrics),
     )
     template = Template(Path(__file__).with_suffix('.html').read_text('utf-8'))
     page = template.substitute(
         title=escape(title),
         subtitle=escape(subtitle),
         story=''.join(f'<li>{escape(t)}</li>' for t in told) + _worst(first, errors[0], start),
-        notices=report_tables.notices(first.log, first.scores),
-        tiles=report_tables.tiles(first.log, first.scores),
+        notices=tables.notices(first.log, first.scores),
+        tiles=tables.tiles(first.log, first.scores),
         sections=''.join(sections),
         frames=_json(_frame_rows(first, errors[0], start)),
         scene=_json(view),

@@ -35,6 +35,7 @@ setup(
             'ros/*.xml',
             'replay/page/*.html',
             'replay/page/*.js',
+            'replay/page/*.css',
         ],
     },
     data_files=[

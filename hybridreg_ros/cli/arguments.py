@@ -238,6 +238,11 @@ def _replay(commands: Commands) -> None:
         metavar='DIR',
         help='folder for the results (default out/BAG); several bags get one subfolder each',
     )
+    kept = p.add_mutually_exclusive_group()
+    kept.add_argument('--overwrite', action='store_true', help='replace earlier results')
+    kept.add_argument(
+        '--resume', action='store_true', help='keep the results of logs that are finished'
+    )
     p.add_argument(
         '--registrar',
         choices=('hybridreg', 'kiss-icp'),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from hybridreg_ros.benchmark.baseline import KissIcpAlone
 from hybridreg_ros.cli.common import write_result
-from hybridreg_ros.cli.live import LiveOptions, replay_live
+from hybridreg_ros.cli.runs.live import LiveOptions, replay_live
 from hybridreg_ros.core.progress import progress
 from hybridreg_ros.replay import session
 from hybridreg_ros.replay.bag_writer import BagWriter

@@ -6,31 +6,31 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hybridreg_ros.benchmark.baseline import KissIcpAlone
 from hybridreg_ros.cli.common import write_result
+from hybridreg_ros.cli.runs import fleet
 from hybridreg_ros.core.errors import BagError, ConfigError
-from hybridreg_ros.core.progress import bar, progress
+from hybridreg_ros.core.progress import bar
 from hybridreg_ros.replay import session
 from hybridreg_ros.replay.page import tables
 from hybridreg_ros.replay.session import odometry_config
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
     from hybridreg_ros.replay.clean_map import MapReport
     from hybridreg_ros.replay.page.report import ReportRun
     from hybridreg_ros.replay.runner import FrameLog
 
 EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
-INTERRUPTED = 'interrupted (Ctrl-C)'
 CLOUDS = ('.ply', '.pcd', '.npy', '.npz', '.bin')
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay every bag, print one table, say where the results are."""
+    """Replay one bag or many, print one table, say where the results are."""
     if args.suite is not None:
         from hybridreg_ros.cli import cmd_suite
 
@@ -41,24 +41,28 @@ def run(args: argparse.Namespace) -> int:
             '(see hybridreg replay --help)'
         )
     jobs = _jobs(args)
+    fleet.refuse(jobs, args.overwrite, args.resume)
     if args.live:
-        from hybridreg_ros.cli.live import LiveOptions, check_options, replay_live
+        from hybridreg_ros.cli.runs.live import LiveOptions, check_options, replay_live
 
         check_options(args)
         options = LiveOptions(args.rate, args.domain_id, args.timeout)
-        runs: Iterable[ReportRun] = (replay_live(job, options, beside(job)) for job in jobs)
-    elif len(jobs) > 1 and (args.workers > 1 or args.scheduler):
-        from hybridreg_ros.cli.many import each
 
-        done = each(_one, jobs, args.workers, args.scheduler)
-        runs = progress(done, len(jobs), 'bags', 'bag')
+        def work(job: session.Job) -> ReportRun:
+            return replay_live(job, options, beside(job))
+
     else:
-        runs = map(_offline, jobs)
-    return _report(args, jobs, runs)
+        work = _offline if args.workers == 1 and args.scheduler is None else _one
+    if len(jobs) > 1 or args.scheduler is not None:
+        return fleet.run(args, jobs, work)
+    if args.resume and fleet.earlier(jobs[0]) is not None:
+        print(f'{jobs[0].out}: kept, it is finished')
+        return 0
+    return _report(args, jobs[0], work(jobs[0]))
 
 
 def _jobs(args: argparse.Namespace) -> list[session.Job]:
-    """One job per bag; the bags are checked before the first one starts."""
+    """One job per bag."""
     config = odometry_config(args.config, args.registrar)
     if args.weights is not None and config.registrar == 'kiss-icp':
         raise ConfigError('--weights has no effect with registrar kiss-icp: leave one of them out')
@@ -82,6 +86,8 @@ def _jobs(args: argparse.Namespace) -> list[session.Job]:
         )
         for bag in args.bags
     ]
+    if args.live and (args.workers > 1 or args.scheduler is not None):
+        raise ConfigError('--workers and --scheduler cannot be combined with --live')
     folders = [job.out.resolve() for job in jobs]
     if len(set(folders)) < len(folders):
         raise BagError('two bags of the same name would write into one folder: rename one')
@@ -120,39 +126,29 @@ def beside(job: session.Job) -> session.Beside | None:
     return session.Beside('kiss-icp alone', KissIcpAlone())
 
 
-def _report(args: argparse.Namespace, jobs: list[session.Job], runs: Iterable[ReportRun]) -> int:
-    """Print the table as far as runs were made; the exit code says whether all are complete."""
-    rows: list[Any] = []
-    results: dict[str, Any] = {}
-    code = 0
-    for done, job in zip(runs, jobs, strict=True):
-        name = job.bag.stem if len(jobs) > 1 else done.name
-        rows.append((name, done.log, done.scores))
-        rows += [(r.name, r.log, r.scores) for r in done.beside]
-        results[str(job.bag)] = done.metrics
-        if 'map' in done.metrics:
-            print(f'{job.bag}: {_said(done.metrics["map"])}')
-        for note in done.log.notes:
-            print(f'{job.bag}: {note}', file=sys.stderr)
-        if done.log.interrupted:
-            print(f'hybridreg: {job.bag}: {done.log.interrupted}', file=sys.stderr)
-            code = EXIT_INTERRUPTED if done.log.interrupted == INTERRUPTED else EXIT_ERROR
-            if code == EXIT_INTERRUPTED:
-                break
-        elif done.log.useless:
-            print(f'hybridreg: error: {job.bag}: {done.log.useless}', file=sys.stderr)
-            code = EXIT_ERROR
-        if done.scores.warning:
-            print(f'{job.bag}: {done.scores.warning}', file=sys.stderr)
-        if done.scores.note:
-            print(f'{job.bag}: no trajectory score: {done.scores.note}', file=sys.stderr)
-    print(tables.text_table(tables.score_rows(rows)))
-    drops = sum(len(log.drops) for _, log, _ in rows)
-    if drops:
-        print(f'{drops} clouds were not used; metrics.json and report.html say why')
-    folders = ', '.join(str(job.out) for job in jobs[: len(results)])
-    print(f'written: odometry.tum metrics.json report.html dynamic.mcap in {folders}')
-    write_result(args, next(iter(results.values())) if len(jobs) == 1 and results else results)
+def _report(args: argparse.Namespace, job: session.Job, done: ReportRun) -> int:
+    """Print one run as a table; the exit code says whether it is complete."""
+    runs = (done, *done.beside)
+    log, code = done.log, 0
+    if 'map' in done.metrics:
+        print(_said(done.metrics['map']))
+    for note in log.notes:
+        print(f'{job.bag}: {note}', file=sys.stderr)
+    if log.interrupted:
+        print(f'hybridreg: {job.bag}: {log.interrupted}', file=sys.stderr)
+        code = EXIT_INTERRUPTED if log.interrupted == fleet.INTERRUPTED else EXIT_ERROR
+    elif log.useless:
+        print(f'hybridreg: error: {job.bag}: {log.useless}', file=sys.stderr)
+        code = EXIT_ERROR
+    if done.scores.warning:
+        print(f'{job.bag}: {done.scores.warning}', file=sys.stderr)
+    if done.scores.note:
+        print(f'{job.bag}: no trajectory score: {done.scores.note}', file=sys.stderr)
+    print(tables.text_table(tables.score_rows([(r.name, r.log, r.scores) for r in runs])))
+    if log.drops:
+        print(f'{len(log.drops)} clouds were not used; metrics.json and report.html say why')
+    print(f'written: odometry.tum metrics.json report.html dynamic.mcap in {job.out}')
+    write_result(args, done.metrics)
     return code
 
 

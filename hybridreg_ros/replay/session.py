@@ -75,6 +75,17 @@ class Job:
     moving: Path | None = None
 
 
+def asked(job: Job) -> dict[str, Any]:
+    """What decides the results of a job, as plain values; equal ones need not be done again."""
+    file = job.bag.stat() if job.bag.exists() else None
+    return {
+        **{f.name: getattr(job, f.name) for f in dataclasses.fields(job) if f.name != 'config'},
+        'out': None,
+        'config': to_dict(job.config),
+        'changed_ns': None if file is None else file.st_mtime_ns,
+    }
+
+
 def odometry_config(path: Path | None, registrar: str | None = None) -> OdometryConfig:
     """Settings of the front end from a YAML file (or defaults), with --registrar on top.
 
@@ -242,9 +253,15 @@ def finish(
     """
     scores = outputs.score_log(log, truth)
     metrics = outputs.metrics_of(
-        log, scores, to_dict(job.config), job.bag, registrar=job.config.registrar, **about
+        log,
+        scores,
+        to_dict(job.config),
+        job.bag,
+        registrar=job.config.registrar,
+        asked=asked(job),
+        beside={r.name: r.scores.trajectory for r in beside},
+        **about,
     )
-    outputs.write_json(job.out / 'metrics.json', metrics)
     run = ReportRun(job.config.registrar, log, scores, truth, views, metrics, scene, tuple(beside))
     mode = 'through the node, live' if about.get('live') else 'offline'
     write_report(
@@ -254,4 +271,6 @@ def finish(
         f'{log.wall_s:.1f} s of computation',
         [run, *beside],
     )
+    # Last, since it is the sign that a run is finished.
+    outputs.write_json(job.out / 'metrics.json', metrics)
     return run

@@ -5,12 +5,10 @@
 from __future__ import annotations
 
 import base64
-import json
 from dataclasses import dataclass, field
 from html import escape
 from importlib.util import find_spec
 from pathlib import Path
-from string import Template
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,8 +17,8 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import DependencyError
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.warm_up import SCANS
-from hybridreg_ros.replay.outputs import plain
 from hybridreg_ros.replay.page import charts, pictures, scene, story, tables
+from hybridreg_ros.replay.page.shell import section, write_page
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -87,10 +85,6 @@ def _figure(chart: str, caption: str, shows: str = '') -> str:
     return f'<figure><figcaption>{escape(caption)}</figcaption>{chart}{output}</figure>'
 
 
-def _section(heading: str, body: str) -> str:
-    return f'<section><h2>{escape(heading)}</h2>{body}</section>'
-
-
 def _trajectories(runs: Sequence[ReportRun], errors: Sequence[story.FrameErrors | None]) -> str:
     """Paths on the two axes along which they extend most."""
     scored = [(i, r, e) for i, (r, e) in enumerate(zip(runs, errors, strict=True)) if e]
@@ -111,7 +105,7 @@ def _trajectories(runs: Sequence[ReportRun], errors: Sequence[story.FrameErrors 
     chart = charts.plan_chart(series, f'{"xyz"[a]} (m)', f'{"xyz"[b]} (m)', label)
     how = ', aligned to the truth by one rigid transform' if scored else ''
     caption = f'Paths{how}, on the two axes of largest extent. The ring marks the start.'
-    return _section('Trajectory', _figure(chart, caption))
+    return section('Trajectory', _figure(chart, caption))
 
 
 def _error_charts(
@@ -133,7 +127,7 @@ def _error_charts(
         title = f'{"position" if key == "ep" else "step"} error'
         chart = charts.time_chart(series, f'{title} (mm)', f'{title} over time: {names}.')
         body += _figure(chart, caption, key)
-    return _section('Error of each frame', body)
+    return section('Error of each frame', body)
 
 
 def _bands(seconds: NDArray[np.float64], sources: Sequence[str]) -> list[charts.Band]:
@@ -184,7 +178,7 @@ def _confidence(run: ReportRun, start: int) -> str:
             f'that is new; they are not drawn: {first} ms.',
             'm',
         )
-    return _section(f'Confidence, source and time: {run.name}', body) if body else ''
+    return section(f'Confidence, source and time: {run.name}', body) if body else ''
 
 
 def _pictures(run: ReportRun, start: int) -> str:
@@ -214,7 +208,7 @@ def _pictures(run: ReportRun, start: int) -> str:
     )
     body = f'<ul class="legend">{key}<li>grey: static, darker is farther</li></ul>'
     body += f'<div class="pictures">{"".join(figures)}</div>'
-    return _section('Frames seen from the sensor', body)
+    return section('Frames seen from the sensor', body)
 
 
 def _frame_rows(
@@ -272,7 +266,7 @@ def _scene_section(run: ReportRun, errors: story.FrameErrors | None) -> str:
         else ''
     )
     body = Path(__file__).with_name('report_scene.html').read_text('utf-8')
-    return _section('The scene', f'<p class="soft">{escape(caption)}</p>{body}')
+    return section('The scene', f'<p class="soft">{escape(caption)}</p>{body}')
 
 
 def write_report(path: Path, title: str, subtitle: str, runs: Sequence[ReportRun]) -> None:
@@ -289,36 +283,24 @@ def write_report(path: Path, title: str, subtitle: str, runs: Sequence[ReportRun
     start = min(stamps, default=0)
     errors = [_errors(r) for r in runs]
     others = [(r.name, r.scores) for r in runs[1:]]
-    told = story.sentences(first.log, first.scores, start, others)
     view = _scene(first, errors[0], start)
     sections = (
         _scene_section(first, errors[0]) if view else '',
-        _section('Scores', tables.score_table([(r.name, r.log, r.scores) for r in runs])),
+        section('Scores', tables.score_table([(r.name, r.log, r.scores) for r in runs])),
         _trajectories(runs, errors),
         _error_charts(runs, errors, start),
         _confidence(first, start),
         _pictures(first, start),
-        _section('Time per stage', tables.time_table(first.log)) if first.log.frames else '',
+        section('Time per stage', tables.time_table(first.log)) if first.log.frames else '',
         tables.drop_table(first.log, start),
         tables.provenance(first.metrics),
     )
-    template = Template(Path(__file__).with_suffix('.html').read_text('utf-8'))
-    page = template.substitute(
-        title=escape(title),
-        subtitle=escape(subtitle),
-        story=''.join(f'<li>{escape(t)}</li>' for t in told) + _worst(first, errors[0], start),
-        notices=tables.notices(first.log, first.scores),
-        tiles=tables.tiles(first.log, first.scores),
-        sections=''.join(sections),
-        frames=_json(_frame_rows(first, errors[0], start)),
-        scene=_json(view),
-        plotly=f'<script>{plotly_script()}</script>' if view else '',
-        script=Path(__file__).with_suffix('.js').read_text('utf-8'),
+    told = story.sentences(first.log, first.scores, start, others)
+    body = (
+        f'<p class="soft">{escape(subtitle)}</p><ul class="story">'
+        f'{"".join(f"<li>{escape(t)}</li>" for t in told)}{_worst(first, errors[0], start)}</ul>'
+        f'{tables.notices(first.log, first.scores)}'
+        f'<ul class="tiles">{tables.tiles(first.log, first.scores)}</ul>{"".join(sections)}'
     )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(page, encoding='utf-8')
-
-
-def _json(value: Any) -> str:
-    """JSON that may stand inside a script element."""
-    return json.dumps(plain(value), separators=(',', ':')).replace('</', '<\\/')
+    data = {'frames': _frame_rows(first, errors[0], start), 'scene-data': view}
+    write_page(path, title, body, data, plotly_script() if view else '')

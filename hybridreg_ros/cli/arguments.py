@@ -67,6 +67,7 @@ def build_parser() -> argparse.ArgumentParser:
         _simulate,
         _replay,
         _score,
+        _compare,
         _generate,
         _train,
         _ship,
@@ -368,6 +369,24 @@ def _score(commands: Commands) -> None:
         default=0.01,
         metavar='S',
         help='maximum difference between matching stamps, seconds (default 0.01)',
+    )
+
+
+def _compare(commands: Commands) -> None:
+    p = _command(commands, 'compare', 'cmd_compare', 'compare results of replay frame by frame')
+    p.add_argument(
+        'runs',
+        type=Path,
+        nargs='+',
+        metavar='RUN',
+        help='folders of results, or folders of such folders; the first is the base',
+    )
+    p.add_argument(
+        '--out',
+        type=Path,
+        default=Path('out/compare.html'),
+        metavar='FILE',
+        help='page to write (default out/compare.html)',
     )
 
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from hybridreg_ros.metrics.trajectory import Trajectory
     from hybridreg_ros.odometry.result import OdometryResult
+    from hybridreg_ros.replay.frame_errors import FrameErrors
     from hybridreg_ros.replay.runner import FrameLog, ReplayLog
 
 ODOM_TOPIC = '/hybridreg/odom'
@@ -134,7 +135,12 @@ def stage_times(frames: Sequence[FrameLog]) -> dict[str, dict[str, float]]:
 
 
 def metrics_of(
-    log: ReplayLog, scores: Scores, config: Mapping[str, Any], bag: Path, **about: Any
+    log: ReplayLog,
+    scores: Scores,
+    config: Mapping[str, Any],
+    bag: Path,
+    errors: FrameErrors | None = None,
+    **about: Any,
 ) -> dict[str, Any]:
     """Content of metrics.json.
 
@@ -143,9 +149,14 @@ def metrics_of(
         scores: its scores.
         config: configuration of the front end, plain values.
         bag: input, whose checksum is recorded.
+        errors: of the single frames, None without truth.
         **about: further entries such as topic, stride, registrar, live, recovered.
     """
     frames = log.frames
+    rows = [_frame_row(f) for f in frames]
+    if errors is not None:
+        for k, row in enumerate(errors.rows.tolist()):
+            rows[row] |= {'position_mm': errors.position_mm[k], 'step_mm': errors.step_mm[k]}
     seen = {f.reason for f in frames}
     confidence = np.array([f.confidence for f in frames if math.isfinite(f.confidence)])
     return {
@@ -167,7 +178,7 @@ def metrics_of(
         'warning': scores.warning,
         'time_ms': stage_times(frames),
         'wall_s': log.wall_s,
-        'per_frame': [_frame_row(f) for f in frames],
+        'per_frame': rows,
         'provenance': provenance.collect(config, (bag,)),
     }
 

@@ -17,6 +17,7 @@ from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.replay import outputs, runner
 from hybridreg_ros.replay.bag_reader import open_bag
 from hybridreg_ros.replay.clean_map import CleanMap, MapReport, MapSink
+from hybridreg_ros.replay.frame_errors import frame_errors
 from hybridreg_ros.replay.interrupt import StopRequest
 from hybridreg_ros.replay.page.pictures import Album
 from hybridreg_ros.replay.page.report import ReportRun, write_report
@@ -257,6 +258,7 @@ def finish(
         scores,
         to_dict(job.config),
         job.bag,
+        None if truth is None or scores.trajectory is None else frame_errors(log, truth),
         registrar=job.config.registrar,
         asked=asked(job),
         beside={r.name: r.scores.trajectory for r in beside},

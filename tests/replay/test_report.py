@@ -27,6 +27,7 @@ from hybridreg_ros.metrics.mask import MaskCounts
 from hybridreg_ros.metrics.trajectory import Trajectory
 from hybridreg_ros.replay import outputs
 from hybridreg_ros.replay.bag_reader import open_bag
+from hybridreg_ros.replay.frame_errors import frame_errors
 from hybridreg_ros.replay.live_log import LiveRecorder
 from hybridreg_ros.replay.page import charts, pictures, report, scene, story, tables
 from hybridreg_ros.replay.runner import Drop, FrameLog, ReplayLog
@@ -207,7 +208,7 @@ def test_story_with_truth_compares_and_finds_the_worst_frame() -> None:
     text = ' '.join(story.sentences(log, scores, START, [('kiss-icp alone', other)]))
     assert re.search(r'The path is \d+\.\d mm off the truth', text)
     assert 'kiss-icp alone on the same clouds: ' in text
-    errors = story.frame_errors(log, truth)
+    errors = frame_errors(log, truth)
     assert {row for row, _ in story.worst(log, errors)[:2]} == {12, 13}
     back = se3.apply(errors.T_odom_world, errors.truth_path)
     np.testing.assert_allclose(back, [[0.1 * i, 0.0, 0.0] for i in range(20)], atol=0.02)

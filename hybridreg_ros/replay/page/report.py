@@ -17,6 +17,7 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import DependencyError
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.warm_up import SCANS
+from hybridreg_ros.replay.frame_errors import frame_errors
 from hybridreg_ros.replay.page import charts, pictures, scene, story, tables
 from hybridreg_ros.replay.page.shell import section, write_page
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.metrics.trajectory import Trajectory
+    from hybridreg_ros.replay.frame_errors import FrameErrors
     from hybridreg_ros.replay.outputs import Scores
     from hybridreg_ros.replay.runner import FrameLog, ReplayLog
 
@@ -69,10 +71,10 @@ def plotly_script() -> str:
     return (Path(found.origin).parent / 'package_data' / 'plotly.min.js').read_text('utf-8')
 
 
-def _errors(run: ReportRun) -> story.FrameErrors | None:
+def _errors(run: ReportRun) -> FrameErrors | None:
     if run.truth is None or run.scores.trajectory is None:
         return None
-    return story.frame_errors(run.log, run.truth)
+    return frame_errors(run.log, run.truth)
 
 
 def _seconds(frames: Sequence[FrameLog], start: int) -> NDArray[np.float64]:
@@ -85,7 +87,7 @@ def _figure(chart: str, caption: str, shows: str = '') -> str:
     return f'<figure><figcaption>{escape(caption)}</figcaption>{chart}{output}</figure>'
 
 
-def _trajectories(runs: Sequence[ReportRun], errors: Sequence[story.FrameErrors | None]) -> str:
+def _trajectories(runs: Sequence[ReportRun], errors: Sequence[FrameErrors | None]) -> str:
     """Paths on the two axes along which they extend most."""
     scored = [(i, r, e) for i, (r, e) in enumerate(zip(runs, errors, strict=True)) if e]
     if scored:
@@ -109,7 +111,7 @@ def _trajectories(runs: Sequence[ReportRun], errors: Sequence[story.FrameErrors 
 
 
 def _error_charts(
-    runs: Sequence[ReportRun], errors: Sequence[story.FrameErrors | None], start: int
+    runs: Sequence[ReportRun], errors: Sequence[FrameErrors | None], start: int
 ) -> str:
     scored = [(i, r, e) for i, (r, e) in enumerate(zip(runs, errors, strict=True)) if e]
     if not scored:
@@ -211,9 +213,7 @@ def _pictures(run: ReportRun, start: int) -> str:
     return section('Frames seen from the sensor', body)
 
 
-def _frame_rows(
-    run: ReportRun, errors: story.FrameErrors | None, start: int
-) -> list[dict[str, Any]]:
+def _frame_rows(run: ReportRun, errors: FrameErrors | None, start: int) -> list[dict[str, Any]]:
     """What the charts read out and the 3D view draws, one entry per frame."""
     of = {} if errors is None else {int(k): i for i, k in enumerate(errors.rows)}
     rows = []
@@ -235,7 +235,7 @@ def _frame_rows(
     return rows
 
 
-def _scene(run: ReportRun, errors: story.FrameErrors | None, start: int) -> dict[str, Any]:
+def _scene(run: ReportRun, errors: FrameErrors | None, start: int) -> dict[str, Any]:
     """Data of the 3D view; empty for none."""
     if run.scene is None or not run.log.frames or not len(run.scene.still):
         return {}
@@ -246,7 +246,7 @@ def _scene(run: ReportRun, errors: story.FrameErrors | None, start: int) -> dict
     return data
 
 
-def _worst(run: ReportRun, errors: story.FrameErrors | None, start: int) -> str:
+def _worst(run: ReportRun, errors: FrameErrors | None, start: int) -> str:
     """The story's last line: links to the frames to look at first."""
     links = ', '.join(
         f'<a href="#scene" data-frame="{row}">{(run.log.frames[row].stamp - start) / NS_PER_S:.2f}'
@@ -256,7 +256,7 @@ def _worst(run: ReportRun, errors: story.FrameErrors | None, start: int) -> str:
     return f'<li>Look first at {links}.</li>' if links else ''
 
 
-def _scene_section(run: ReportRun, errors: story.FrameErrors | None) -> str:
+def _scene_section(run: ReportRun, errors: FrameErrors | None) -> str:
     colour = 'step error' if errors is not None else 'confidence'
     caption = (
         f'What stood still (grey), thinned to one point per {1000 * run.scene.voxel_m:.0f} mm, '

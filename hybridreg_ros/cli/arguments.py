@@ -171,7 +171,9 @@ def _register(commands: Commands) -> None:
 
 def _convert(commands: Commands) -> None:
     p = _command(commands, 'convert', 'cmd_convert', 'convert recorded files to a bag')
-    p.add_argument('format', choices=('kitti', 'depth', 'tum'), help='format of the recording')
+    p.add_argument(
+        'format', choices=('kitti', 'depth', 'tum', 'clouds'), help='format of the recording'
+    )
     p.add_argument('directory', type=Path, metavar='DIR', help='folder with the recording')
     _bag_output(p)
     p.add_argument('--poses', type=Path, metavar='FILE', help='poses (default: poses.txt in DIR)')
@@ -231,7 +233,11 @@ def _replay(commands: Commands) -> None:
         commands, 'replay', 'cmd_replay', 'run the front end on bags and score the result'
     )
     p.add_argument(
-        'bags', type=Path, nargs='*', metavar='BAG', help='rosbag2 directory, .mcap or .db3 file'
+        'bags',
+        type=Path,
+        nargs='*',
+        metavar='LOG',
+        help='bag (ROS 2: folder, .mcap, .db3; ROS 1: .bag), or folder of clouds or depth images',
     )
     p.add_argument(
         '--out',
@@ -268,6 +274,14 @@ def _replay(commands: Commands) -> None:
     )
     p.add_argument('--stride', type=COUNT, default=1, metavar='N', help='use every N-th cloud')
     p.add_argument('--max-frames', type=COUNT, metavar='N', help='stop after N clouds')
+    p.add_argument(
+        '--start',
+        type=_number(float, 0.0, 1e9),
+        default=0.0,
+        metavar='S',
+        help='begin S seconds after the first cloud',
+    )
+    p.add_argument('--duration', type=POSITIVE, metavar='S', help='end S seconds later')
     p.add_argument('--no-clouds', action='store_true', help='write no clouds to dynamic.mcap')
     p.add_argument(
         '--map',

@@ -79,6 +79,8 @@ def _jobs(args: argparse.Namespace) -> list[session.Job]:
             time_field=args.time_field,
             stride=args.stride,
             max_frames=args.max_frames,
+            start_s=args.start,
+            duration_s=args.duration,
             clouds=not args.no_clouds,
             compare=not args.no_compare,
             map=_own(args, args.map, bag),

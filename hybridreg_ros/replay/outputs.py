@@ -23,6 +23,8 @@ from hybridreg_ros.replay.trajectory_io import tum_row
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from numpy.typing import NDArray
+
     from hybridreg_ros.metrics.trajectory import Trajectory
     from hybridreg_ros.odometry.result import OdometryResult
     from hybridreg_ros.replay.frame_errors import FrameErrors
@@ -198,6 +200,26 @@ def _frame_row(frame: FrameLog) -> dict[str, Any]:
         'total_ms': 1000.0 * frame.seconds.get('total', float('nan')),
         'mask': frame.mask,
     }
+
+
+def write_trajectories(folder: Path, made: Trajectory, truth: Trajectory | None) -> None:
+    """Write odometry_kitti.txt, and truth.tum and truth_kitti.txt where there is a truth.
+
+    The rows of both KITTI files belong together: poses that lack a partner are left out of both.
+    """
+    rows, others = np.arange(len(made)), None
+    if truth is not None and len(made) and len(truth):
+        (folder / 'truth.tum').write_text(
+            ''.join(tum_row(s, T) + '\n' for s, T in zip(truth.stamps, truth.poses, strict=True)),
+            encoding='ascii',
+        )
+        rows, others = trajectory.associate(made, truth)
+        _write_kitti(folder / 'truth_kitti.txt', truth.poses[others])
+    _write_kitti(folder / 'odometry_kitti.txt', made.poses[rows])
+
+
+def _write_kitti(path: Path, poses: NDArray[np.float64]) -> None:
+    np.savetxt(path, poses[:, :3].reshape(-1, 12), fmt='%.12g')
 
 
 def plain(value: Any) -> Any:

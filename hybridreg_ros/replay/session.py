@@ -15,8 +15,8 @@ from hybridreg_ros.data.loaders.clouds import write_cloud
 from hybridreg_ros.metrics.extrinsic import extrinsic_of, follow
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.replay import outputs, runner
-from hybridreg_ros.replay.bag_reader import open_bag
 from hybridreg_ros.replay.clean_map import CleanMap, MapReport, MapSink
+from hybridreg_ros.replay.folder_log import between, open_log
 from hybridreg_ros.replay.frame_errors import frame_errors
 from hybridreg_ros.replay.interrupt import StopRequest
 from hybridreg_ros.replay.page.pictures import Album
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from hybridreg_ros.metrics.trajectory import Trajectory
     from hybridreg_ros.odometry.frontend import HybridOdometry
     from hybridreg_ros.odometry.result import OdometryResult
-    from hybridreg_ros.replay.bag_reader import Bag
+    from hybridreg_ros.replay.folder_log import Log
     from hybridreg_ros.replay.page.pictures import FrameView
     from hybridreg_ros.replay.page.scene import Scene
     from hybridreg_ros.replay.runner import FrameLog, ReplayLog
@@ -42,7 +42,7 @@ class Job:
     """What to do with one bag.
 
     Attributes:
-        bag: file or directory.
+        bag: bag file or directory, or folder of recorded files.
         out: folder of the results.
         config: settings of the front end.
         weights: checkpoint, None for the packaged one.
@@ -53,6 +53,8 @@ class Job:
         time_field: field of per-point times, '' = by the usual names.
         stride: take every n-th cloud.
         max_frames: stop after so many.
+        start_s: begin so many seconds after the first cloud.
+        duration_s: end so many seconds later, None = at the end.
         clouds: write dynamic and static clouds into dynamic.mcap.
         compare: run kiss-icp alone beside it.
         map: file (.ply, .pcd, ...) for the cleaned map, None for none.
@@ -70,6 +72,8 @@ class Job:
     time_field: str = ''
     stride: int = 1
     max_frames: int | None = None
+    start_s: float = 0.0
+    duration_s: float | None = None
     clouds: bool = True
     compare: bool = True
     map: Path | None = None
@@ -115,7 +119,7 @@ def open_front_end(config: OdometryConfig, weights: Path | None) -> HybridOdomet
     return HybridOdometry(config, model=HybridReg.from_pretrained(weights))
 
 
-def truth_of(job: Job, bag: Bag) -> Trajectory | None:
+def truth_of(job: Job, bag: Log) -> Trajectory | None:
     """True poses of the sensor, None without.
 
     Raises:
@@ -134,7 +138,7 @@ def planned_frames(job: Job) -> tuple[str, int]:
     Raises:
         BagError: the bag cannot be read, or has no such topic.
     """
-    with open_bag(job.bag) as bag:
+    with open_log(job.bag) as bag:
         topic = bag.cloud_topic(job.topic)
         count = -(-bag.topics[topic].messages // job.stride)
     return topic, count if job.max_frames is None else min(count, job.max_frames)
@@ -193,7 +197,8 @@ def replay(
     also = () if beside is None else (beside,)
     wanted = job.map is not None or job.moving is not None
     with contextlib.ExitStack() as stack:
-        bag = stack.enter_context(open_bag(job.bag))
+        bag = open_log(job.bag)
+        stack.enter_context(bag)
         truth = truth_of(job, bag)
         tum = stack.enter_context(contextlib.closing(outputs.TumFile(job.out / 'odometry.tum')))
         made = outputs.OutputBag(job.out / 'dynamic.mcap', job.clouds, threshold)
@@ -202,7 +207,8 @@ def replay(
         for sink in mapped:
             stack.enter_context(contextlib.closing(sink))
         stop = stack.enter_context(StopRequest())
-        frames = bag.frames(topic, job.time_unit, job.time_field)
+        every = bag.frames(topic, job.time_unit, job.time_field)
+        frames = between(every, job.start_s, job.duration_s)
         log = runner.run(
             (f if f.scan is None else f._replace(scan=front_end.seen(f.scan)) for f in frames),
             front_end,
@@ -273,6 +279,7 @@ def finish(
         f'{log.wall_s:.1f} s of computation',
         [run, *beside],
     )
+    outputs.write_trajectories(job.out, log.trajectory(), truth)
     # Last, since it is the sign that a run is finished.
     outputs.write_json(job.out / 'metrics.json', metrics)
     return run

@@ -23,7 +23,15 @@ from hybridreg_ros.replay.bag_writer import BagWriter
 from hybridreg_ros.replay.page.report import plotly_script
 
 KISS = ['--registrar', 'kiss-icp']
-OUTPUTS = {'odometry.tum', 'metrics.json', 'report.html', 'dynamic.mcap'}
+OUTPUTS = {
+    'odometry.tum',
+    'odometry_kitti.txt',
+    'truth.tum',
+    'truth_kitti.txt',
+    'metrics.json',
+    'report.html',
+    'dynamic.mcap',
+}
 
 
 def failure(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:

@@ -46,6 +46,8 @@ def check_options(args: argparse.Namespace) -> None:
     refused = {
         '--stride': args.stride != 1,
         '--max-frames': args.max_frames is not None,
+        '--start': args.start != 0.0,
+        '--duration': args.duration is not None,
         '--time-unit': args.time_unit != 'auto',
         '--time-field': args.time_field != '',
         '--weights': args.weights is not None,
@@ -85,7 +87,7 @@ def replay_live(
             f"--live needs {error.name}: pip install 'hybridreg_ros[ros]', or source ROS 2 Jazzy"
         ) from None
     topic, count = session.planned_frames(job)
-    with open_bag(job.bag) as bag:
+    with open_bag(job.bag) as bag:  # a folder of files cannot be played
         truth = session.truth_of(job, bag)
     job.out.mkdir(parents=True, exist_ok=True)
     recorder = LiveRecorder(job.out, count)

@@ -33,7 +33,9 @@ setup(
             'model/weights/*.safetensors',
             'odometry/selection/*.json',
             'ros/*.xml',
-            'replay/*.html',
+            'replay/page/*.html',
+            'replay/page/*.js',
+            'replay/page/*.css',
         ],
     },
     data_files=[
@@ -64,6 +66,7 @@ setup(
             'evo>=1.31',
             'tqdm',
             'pillow',
+            'plotly>=6,<8',
         ],
         'data': ['embreex>=4', 'trimesh>=4.5', 'matplotlib>=3.8', 'pillow'],
         'ros': [

@@ -16,7 +16,7 @@ from hybridreg_ros.core.progress import progress
 from hybridreg_ros.data.hybridmatch.room_pairs import SCENES, SPLITS, TRAIN, make_samples
 from hybridreg_ros.data.hybridmatch.splits_work import Block, make_block
 from hybridreg_ros.data.meshes.raycast import CLOCK
-from hybridreg_ros.replay.report_tables import text_table
+from hybridreg_ros.replay.page.tables import text_table
 
 if TYPE_CHECKING:
     import argparse

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hybridreg_ros.core.progress import progress
-from hybridreg_ros.replay.report_tables import text_table
+from hybridreg_ros.replay.page.tables import text_table
 
 if TYPE_CHECKING:
     import argparse

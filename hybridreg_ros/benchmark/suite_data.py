@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +15,7 @@ from hybridreg_ros.core.pointcloud2 import field_values, has_field, to_scan
 from hybridreg_ros.core.scan import NS_PER_S, Scan
 from hybridreg_ros.odometry.preprocess import deskew
 from hybridreg_ros.replay.convert import ConvertOptions, open_recording
-from hybridreg_ros.replay.recording import EPOCH_S, RecordedFrame, simulated
+from hybridreg_ros.replay.recording import EPOCH_S, RecordedFrame, as_message, simulated
 from hybridreg_ros.replay.trajectory_io import read_kitti_rows
 
 if TYPE_CHECKING:
@@ -112,22 +111,7 @@ def _deskewed(frames: list[SuiteFrame]) -> list[SuiteFrame]:
 
 def _decoded(frame: RecordedFrame) -> SuiteFrame:
     """A recorded frame through the decoder that bags and topics go through."""
-    cloud = frame.cloud
-    names = (
-        'height',
-        'width',
-        'fields',
-        'is_bigendian',
-        'point_step',
-        'row_step',
-        'data',
-        'is_dense',
-    )
-    stamp = SimpleNamespace(sec=frame.stamp // NS_PER_S, nanosec=frame.stamp % NS_PER_S)
-    message = SimpleNamespace(
-        header=SimpleNamespace(stamp=stamp, frame_id=frame.frame_id),
-        **{name: getattr(cloud, name) for name in names},
-    )
+    message = as_message(frame)
     scan = to_scan(message)
     if frame.T_world_sensor is None:
         raise FileFormatError(f'the frame at {frame.stamp / NS_PER_S:.3f} s has no true pose')

@@ -67,6 +67,7 @@ def build_parser() -> argparse.ArgumentParser:
         _simulate,
         _replay,
         _score,
+        _compare,
         _generate,
         _train,
         _ship,
@@ -170,7 +171,9 @@ def _register(commands: Commands) -> None:
 
 def _convert(commands: Commands) -> None:
     p = _command(commands, 'convert', 'cmd_convert', 'convert recorded files to a bag')
-    p.add_argument('format', choices=('kitti', 'depth', 'tum'), help='format of the recording')
+    p.add_argument(
+        'format', choices=('kitti', 'depth', 'tum', 'clouds'), help='format of the recording'
+    )
     p.add_argument('directory', type=Path, metavar='DIR', help='folder with the recording')
     _bag_output(p)
     p.add_argument('--poses', type=Path, metavar='FILE', help='poses (default: poses.txt in DIR)')
@@ -230,13 +233,22 @@ def _replay(commands: Commands) -> None:
         commands, 'replay', 'cmd_replay', 'run the front end on bags and score the result'
     )
     p.add_argument(
-        'bags', type=Path, nargs='*', metavar='BAG', help='rosbag2 directory, .mcap or .db3 file'
+        'bags',
+        type=Path,
+        nargs='*',
+        metavar='LOG',
+        help='bag (ROS 2: folder, .mcap, .db3; ROS 1: .bag), or folder of clouds or depth images',
     )
     p.add_argument(
         '--out',
         type=Path,
         metavar='DIR',
         help='folder for the results (default out/BAG); several bags get one subfolder each',
+    )
+    kept = p.add_mutually_exclusive_group()
+    kept.add_argument('--overwrite', action='store_true', help='replace earlier results')
+    kept.add_argument(
+        '--resume', action='store_true', help='keep the results of logs that are finished'
     )
     p.add_argument(
         '--registrar',
@@ -262,7 +274,25 @@ def _replay(commands: Commands) -> None:
     )
     p.add_argument('--stride', type=COUNT, default=1, metavar='N', help='use every N-th cloud')
     p.add_argument('--max-frames', type=COUNT, metavar='N', help='stop after N clouds')
+    p.add_argument(
+        '--start',
+        type=_number(float, 0.0, 1e9),
+        default=0.0,
+        metavar='S',
+        help='begin S seconds after the first cloud',
+    )
+    p.add_argument('--duration', type=POSITIVE, metavar='S', help='end S seconds later')
     p.add_argument('--no-clouds', action='store_true', help='write no clouds to dynamic.mcap')
+    p.add_argument(
+        '--map',
+        type=Path,
+        metavar='FILE',
+        help='write what stands still as .ply or .pcd, without what other scans saw through',
+    )
+    p.add_argument('--moving', type=Path, metavar='FILE', help='write what moved as .ply or .pcd')
+    p.add_argument(
+        '--no-compare', action='store_true', help='do not run kiss-icp alone on the same clouds'
+    )
     p.add_argument('--live', action='store_true', help='play the bag to the real node over DDS')
     p.add_argument(
         '--rate',
@@ -353,6 +383,24 @@ def _score(commands: Commands) -> None:
         default=0.01,
         metavar='S',
         help='maximum difference between matching stamps, seconds (default 0.01)',
+    )
+
+
+def _compare(commands: Commands) -> None:
+    p = _command(commands, 'compare', 'cmd_compare', 'compare results of replay frame by frame')
+    p.add_argument(
+        'runs',
+        type=Path,
+        nargs='+',
+        metavar='RUN',
+        help='folders of results, or folders of such folders; the first is the base',
+    )
+    p.add_argument(
+        '--out',
+        type=Path,
+        default=Path('out/compare.html'),
+        metavar='FILE',
+        help='page to write (default out/compare.html)',
     )
 
 

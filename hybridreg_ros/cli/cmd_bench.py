@@ -15,7 +15,7 @@ from hybridreg_ros.cli.common import told, write_result
 from hybridreg_ros.core.errors import ConfigError, WeightsError
 from hybridreg_ros.core.progress import progress
 from hybridreg_ros.core.scan import NS_PER_S, Scan
-from hybridreg_ros.replay.report_tables import text_table
+from hybridreg_ros.replay.page.tables import text_table
 
 if TYPE_CHECKING:
     import argparse

@@ -11,18 +11,16 @@ from typing import TYPE_CHECKING
 
 from hybridreg_ros.benchmark.baseline import KissIcpAlone
 from hybridreg_ros.cli.common import write_result
-from hybridreg_ros.cli.live import LiveOptions, replay_live
-from hybridreg_ros.core.progress import bar, progress
-from hybridreg_ros.replay import outputs, report, report_tables, runner, session
-from hybridreg_ros.replay.bag_reader import open_bag
+from hybridreg_ros.cli.runs.live import LiveOptions, replay_live
+from hybridreg_ros.core.progress import progress
+from hybridreg_ros.replay import session
 from hybridreg_ros.replay.bag_writer import BagWriter
+from hybridreg_ros.replay.page import report, tables
 from hybridreg_ros.replay.recording import simulated, write_recording
 
 if TYPE_CHECKING:
     import argparse
     from pathlib import Path
-
-    from hybridreg_ros.replay.report import ReportRun
 
 MOVING = '10-30'
 RATE_HZ = 10.0
@@ -35,9 +33,9 @@ def run(args: argparse.Namespace) -> int:
     bag = args.bag or _simulate(args)
     job = session.Job(bag=bag, out=args.out)
     options = LiveOptions(args.rate, args.domain_id, timeout_s=90.0)
-    ours = dataclasses.replace(replay_live(job, options), name='hybridreg node (live)')
-    alone = kiss_icp_alone(bag, len(ours.log.frames))
-    alone = dataclasses.replace(alone, scores=dataclasses.replace(alone.scores, mask=None))
+    beside = session.Beside('kiss-icp alone', KissIcpAlone())
+    ours = dataclasses.replace(replay_live(job, options, beside), name='hybridreg node (live)')
+    (alone,) = ours.beside
     page = args.out / 'report.html'
     frames = len(ours.log.frames)
     report.write_report(
@@ -49,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     rows = [(r.name, r.log, r.scores) for r in (ours, alone)]
     for note in ours.log.notes:
         print(note)
-    print(report_tables.text_table(report_tables.score_rows(rows)))
+    print(tables.text_table(tables.score_rows(rows)))
     print(f'report: {page}   bag: {bag}   {time.perf_counter() - start:.0f} s')
     write_result(args, {'bag': bag, 'live': ours.metrics, 'kiss_icp_alone': alone.scores})
     if ours.log.useless:
@@ -64,17 +62,3 @@ def _simulate(args: argparse.Namespace) -> Path:
     with BagWriter(path, overwrite=True) as bag:
         write_recording(progress(frames, args.frames, 'simulate a room'), bag)
     return path
-
-
-def kiss_icp_alone(path: Path, count: int | None = None) -> ReportRun:
-    """Score kiss-icp alone, offline, on a bag.
-
-    Args:
-        path: bag with one cloud topic.
-        count: clouds expected, for the progress bar.
-    """
-    with open_bag(path) as bag, bar(count, 'kiss-icp alone') as shown:
-        truth = bag.ground_truth()
-        front_end = KissIcpAlone()
-        log = runner.run(bag.frames(), front_end, tick=lambda _: shown.update())
-    return report.ReportRun('kiss-icp alone', log, outputs.score_log(log, truth), truth)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hybridreg_ros.cli.common import budget_of, write_result
-from hybridreg_ros.cli.many import each
+from hybridreg_ros.cli.runs.many import each
 from hybridreg_ros.core import provenance
 from hybridreg_ros.core.config import to_dict
 from hybridreg_ros.core.errors import ConfigError, FileFormatError

@@ -6,26 +6,31 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from hybridreg_ros.benchmark.baseline import KissIcpAlone
 from hybridreg_ros.cli.common import write_result
+from hybridreg_ros.cli.runs import fleet
 from hybridreg_ros.core.errors import BagError, ConfigError
-from hybridreg_ros.core.progress import bar, progress
-from hybridreg_ros.replay import report_tables, session
+from hybridreg_ros.core.progress import bar
+from hybridreg_ros.replay import session
+from hybridreg_ros.replay.page import tables
 from hybridreg_ros.replay.session import odometry_config
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterable
+    from collections.abc import Callable
 
-    from hybridreg_ros.replay.report import ReportRun
+    from hybridreg_ros.replay.clean_map import MapReport
+    from hybridreg_ros.replay.page.report import ReportRun
+    from hybridreg_ros.replay.runner import FrameLog
 
 EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
-INTERRUPTED = 'interrupted (Ctrl-C)'
+CLOUDS = ('.ply', '.pcd', '.npy', '.npz', '.bin')
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay every bag, print one table, say where the results are."""
+    """Replay one bag or many, print one table, say where the results are."""
     if args.suite is not None:
         from hybridreg_ros.cli import cmd_suite
 
@@ -36,24 +41,28 @@ def run(args: argparse.Namespace) -> int:
             '(see hybridreg replay --help)'
         )
     jobs = _jobs(args)
+    fleet.refuse(jobs, args.overwrite, args.resume)
     if args.live:
-        from hybridreg_ros.cli.live import LiveOptions, check_options, replay_live
+        from hybridreg_ros.cli.runs.live import LiveOptions, check_options, replay_live
 
         check_options(args)
         options = LiveOptions(args.rate, args.domain_id, args.timeout)
-        runs: Iterable[ReportRun] = (replay_live(job, options) for job in jobs)
-    elif len(jobs) > 1 and (args.workers > 1 or args.scheduler):
-        from hybridreg_ros.cli.many import each
 
-        done = each(session.replay, jobs, args.workers, args.scheduler)
-        runs = progress(done, len(jobs), 'bags', 'bag')
+        def work(job: session.Job) -> ReportRun:
+            return replay_live(job, options, beside(job))
+
     else:
-        runs = map(_offline, jobs)
-    return _report(args, jobs, runs)
+        work = _offline if args.workers == 1 and args.scheduler is None else _one
+    if len(jobs) > 1 or args.scheduler is not None:
+        return fleet.run(args, jobs, work)
+    if args.resume and fleet.earlier(jobs[0]) is not None:
+        print(f'{jobs[0].out}: kept, it is finished')
+        return 0
+    return _report(args, jobs[0], work(jobs[0]))
 
 
 def _jobs(args: argparse.Namespace) -> list[session.Job]:
-    """One job per bag; the bags are checked before the first one starts."""
+    """One job per bag."""
     config = odometry_config(args.config, args.registrar)
     if args.weights is not None and config.registrar == 'kiss-icp':
         raise ConfigError('--weights has no effect with registrar kiss-icp: leave one of them out')
@@ -70,10 +79,17 @@ def _jobs(args: argparse.Namespace) -> list[session.Job]:
             time_field=args.time_field,
             stride=args.stride,
             max_frames=args.max_frames,
+            start_s=args.start,
+            duration_s=args.duration,
             clouds=not args.no_clouds,
+            compare=not args.no_compare,
+            map=_own(args, args.map, bag),
+            moving=_own(args, args.moving, bag),
         )
         for bag in args.bags
     ]
+    if args.live and (args.workers > 1 or args.scheduler is not None):
+        raise ConfigError('--workers and --scheduler cannot be combined with --live')
     folders = [job.out.resolve() for job in jobs]
     if len(set(folders)) < len(folders):
         raise BagError('two bags of the same name would write into one folder: rename one')
@@ -88,40 +104,65 @@ def _folder(args: argparse.Namespace, bag: Path) -> Path:
     return out if len(args.bags) == 1 else out / bag.stem
 
 
+def _own(args: argparse.Namespace, path: Path | None, bag: Path) -> Path | None:
+    """A file of one bag: as named, or of that name in the folder of each of several bags."""
+    if path is not None and path.suffix.lower() not in CLOUDS:
+        raise ConfigError(f'{path}: expected a file ending in {", ".join(CLOUDS)}')
+    return path if path is None or len(args.bags) == 1 else _folder(args, bag) / path.name
+
+
 def _offline(job: session.Job) -> ReportRun:
     _, count = session.planned_frames(job)
     with bar(count, job.bag.name) as shown:
-        return session.replay(job, lambda _: shown.update())
+        return _one(job, lambda _: shown.update())
 
 
-def _report(args: argparse.Namespace, jobs: list[session.Job], runs: Iterable[ReportRun]) -> int:
-    """Print the table as far as runs were made; the exit code says whether all are complete."""
-    rows: list[Any] = []
-    results: dict[str, Any] = {}
-    code = 0
-    for done, job in zip(runs, jobs, strict=True):
-        name = job.bag.stem if len(jobs) > 1 else done.name
-        rows.append((name, done.log, done.scores))
-        results[str(job.bag)] = done.metrics
-        for note in done.log.notes:
-            print(f'{job.bag}: {note}', file=sys.stderr)
-        if done.log.interrupted:
-            print(f'hybridreg: {job.bag}: {done.log.interrupted}', file=sys.stderr)
-            code = EXIT_INTERRUPTED if done.log.interrupted == INTERRUPTED else EXIT_ERROR
-            if code == EXIT_INTERRUPTED:
-                break
-        elif done.log.useless:
-            print(f'hybridreg: error: {job.bag}: {done.log.useless}', file=sys.stderr)
-            code = EXIT_ERROR
-        if done.scores.warning:
-            print(f'{job.bag}: {done.scores.warning}', file=sys.stderr)
-        if done.scores.note:
-            print(f'{job.bag}: no trajectory score: {done.scores.note}', file=sys.stderr)
-    print(report_tables.text_table(report_tables.score_rows(rows)))
-    drops = sum(len(log.drops) for _, log, _ in rows)
-    if drops:
-        print(f'{drops} clouds were not used; metrics.json and report.html say why')
-    folders = ', '.join(str(job.out) for job in jobs[: len(rows)])
-    print(f'written: odometry.tum metrics.json report.html dynamic.mcap in {folders}')
-    write_result(args, next(iter(results.values())) if len(jobs) == 1 and results else results)
+def _one(job: session.Job, tick: Callable[[FrameLog | None], None] | None = None) -> ReportRun:
+    return session.replay(job, tick, beside(job))
+
+
+def beside(job: session.Job) -> session.Beside | None:
+    """kiss-icp alone on the same clouds, unless it is switched off or leads anyway."""
+    if not job.compare or job.config.registrar == 'kiss-icp':
+        return None
+    return session.Beside('kiss-icp alone', KissIcpAlone())
+
+
+def _report(args: argparse.Namespace, job: session.Job, done: ReportRun) -> int:
+    """Print one run as a table; the exit code says whether it is complete."""
+    runs = (done, *done.beside)
+    log, code = done.log, 0
+    if 'map' in done.metrics:
+        print(_said(done.metrics['map']))
+    for note in log.notes:
+        print(f'{job.bag}: {note}', file=sys.stderr)
+    if log.interrupted:
+        print(f'hybridreg: {job.bag}: {log.interrupted}', file=sys.stderr)
+        code = EXIT_INTERRUPTED if log.interrupted == fleet.INTERRUPTED else EXIT_ERROR
+    elif log.useless:
+        print(f'hybridreg: error: {job.bag}: {log.useless}', file=sys.stderr)
+        code = EXIT_ERROR
+    if done.scores.warning:
+        print(f'{job.bag}: {done.scores.warning}', file=sys.stderr)
+    if done.scores.note:
+        print(f'{job.bag}: no trajectory score: {done.scores.note}', file=sys.stderr)
+    print(tables.text_table(tables.score_rows([(r.name, r.log, r.scores) for r in runs])))
+    if log.drops:
+        print(f'{len(log.drops)} clouds were not used; metrics.json and report.html say why')
+    print(f'written: odometry.tum metrics.json report.html dynamic.mcap in {job.out}')
+    write_result(args, done.metrics)
     return code
+
+
+def _said(made: MapReport) -> str:
+    """A map in one line."""
+    text = (
+        f'map of {made.written} points; of {made.points} seen, {made.moving} moved and '
+        f'{made.ghosts} more were seen through by other scans'
+    )
+    if made.static_accuracy is None or made.dynamic_accuracy is None:
+        return text
+    return (
+        f'{text}; kept {100 * made.static_accuracy:.1f} % of what stands still, took out '
+        f'{100 * made.dynamic_accuracy:.1f} % of what moves'
+    )

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Single files of a rosbag2: mcap, whole or cut off, and what rosbags reads (sqlite3)."""
+"""Single bag files: mcap, whole or cut off, and what rosbags reads (sqlite3, ROS 1)."""
 
 from __future__ import annotations
 
@@ -17,9 +17,11 @@ try:
     from mcap.exceptions import McapError
     from mcap.reader import NonSeekingReader, SeekingReader
     from rosbags.interfaces import MessageDefinitionFormat
+    from rosbags.rosbag1 import Reader as Ros1Reader
+    from rosbags.rosbag1 import ReaderError as Ros1Error
     from rosbags.rosbag2 import Reader, ReaderError
     from rosbags.serde import SerdeError
-    from rosbags.typesys import TypesysError
+    from rosbags.typesys import Stores, TypesysError, get_typestore
     from zstandard import ZstdError as ChunkError
 except ImportError as missing:
     raise DependencyError(
@@ -239,6 +241,55 @@ class RosbagsFile:
     def close(self) -> None:
         """Close the reader."""
         with contextlib.suppress(*DAMAGE):
+            self._reader.close()
+
+
+class Ros1File:
+    """A bag of ROS 1, whose messages are handed out as ROS 2 stores them.
+
+    Attributes:
+        counts, definitions, recovered: as of McapFile.
+
+    Raises:
+        BagError: it cannot be opened.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.recovered: int | None = None
+        self.definitions: dict[str, str] = {}
+        self._types = get_typestore(Stores.ROS2_JAZZY)
+        try:
+            self._reader = Ros1Reader(path)
+            self._reader.open()
+        except (Ros1Error, *DAMAGE) as error:
+            raise BagError(
+                f'cannot read bag {path} ({one_line(error)}): try rosbag reindex FILE.bag'
+            ) from None
+        self.counts: Counter[tuple[str, str]] = Counter()
+        for connection in self._reader.connections:
+            self.counts[connection.topic, type_name(connection.msgtype)] += connection.msgcount
+
+    def read(self, topics: Collection[str]) -> Iterator[RawMessage]:
+        """Messages of the topics in log-time order.
+
+        Raises:
+            BagError: the file is damaged at the place reached, or a type is not a standard one.
+        """
+        chosen = [c for c in self._reader.connections if c.topic in topics]
+        if not chosen:
+            return
+        try:
+            for connection, log_time, raw in self._reader.messages(connections=chosen):
+                name = type_name(connection.msgtype)
+                cdr = bytes(self._types.ros1_to_cdr(raw, name))
+                yield RawMessage(connection.topic, name, log_time, cdr)
+        except (Ros1Error, *DAMAGE) as error:
+            raise BagError(f'bag {self.path} is damaged ({one_line(error)})') from None
+
+    def close(self) -> None:
+        """Close the reader."""
+        with contextlib.suppress(Ros1Error, *DAMAGE):
             self._reader.close()
 
 

@@ -284,7 +284,7 @@ def _matrix(message: Any) -> Any:
 
 
 def open_bag(path: str | Path) -> Bag:
-    """Open a rosbag2 file or directory for reading.
+    """Open a bag of ROS 2 (file or directory) or ROS 1 (file) for reading.
 
     Raises:
         BagError: missing, not a bag, or damaged beyond repair.

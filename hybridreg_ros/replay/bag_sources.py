@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Ways into a rosbag2: a file, a directory, or the files of a directory without metadata."""
+"""Ways into a bag: a file, a directory, or the files of a directory without metadata."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from natsort import natsorted
 from hybridreg_ros.core.errors import BagError
 from hybridreg_ros.replay.bag_files import (
     DAMAGE,
-    ROS1_ADVICE,
     McapFile,
     RawMessage,
+    Ros1File,
     RosbagsFile,
     one_line,
 )
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
+File = McapFile | RosbagsFile | Ros1File
 METADATA = 'metadata.yaml'
 NEWEST_METADATA = 9
 SUFFIXES = ('.mcap', '.db3')
@@ -61,7 +62,7 @@ class Source:
         typestore: types of ROS 2 Jazzy, and those that only the bag explains.
     """
 
-    def __init__(self, files: list[McapFile | RosbagsFile]) -> None:
+    def __init__(self, files: list[File]) -> None:
         self._files = files
         counts: Counter[tuple[str, str]] = Counter()
         for file in files:
@@ -101,21 +102,23 @@ def open_source(path: Path) -> Source:
     """Open a bag file or directory, whatever its state.
 
     Raises:
-        BagError: nothing there, not a bag, damaged beyond streaming, or a ROS 1 bag.
+        BagError: nothing there, not a bag, or damaged beyond streaming.
     """
     if not path.exists():
         raise BagError(f'no bag at {path}')
     if path.is_dir():
         return _open_directory(path)
-    if path.suffix == '.bag':
-        raise BagError(f'{path} is a ROS 1 bag: {ROS1_ADVICE}')
-    if path.suffix not in SUFFIXES:
-        raise BagError(f'{path} is not a bag: expected a .mcap or .db3 file, or a bag directory')
+    if path.suffix not in (*SUFFIXES, '.bag'):
+        raise BagError(
+            f'{path} is not a bag: expected a .mcap, .db3 or .bag file, or a bag directory'
+        )
     return Source([_open_file(path)])
 
 
-def _open_file(path: Path) -> McapFile | RosbagsFile:
-    return McapFile(path) if path.suffix == '.mcap' else RosbagsFile(path)
+def _open_file(path: Path) -> File:
+    if path.suffix == '.mcap':
+        return McapFile(path)
+    return Ros1File(path) if path.suffix == '.bag' else RosbagsFile(path)
 
 
 def _open_directory(path: Path) -> Source:
@@ -134,18 +137,18 @@ def _open_directory(path: Path) -> Source:
         if gone:
             raise BagError(f'{path} lacks {", ".join(gone)} of its metadata.yaml')
     files = files or _files_of(path)
-    if any(file.suffix not in SUFFIXES for file in files):
+    if any(file.suffix not in (*SUFFIXES, '.bag') for file in files):
         raise BagError(f'{path}: expected .mcap or .db3 files, found {files[0].name}')
     return Source(_open_files(files))
 
 
-def _open_files(files: list[Path]) -> list[McapFile | RosbagsFile]:
+def _open_files(files: list[Path]) -> list[File]:
     """Those of several files that can be read; the last one of a recording is often empty.
 
     Raises:
         BagError: that of the first file, when none can be read.
     """
-    opened: list[McapFile | RosbagsFile] = []
+    opened: list[File] = []
     errors: list[BagError] = []
     for file in files:
         try:
@@ -202,8 +205,8 @@ def _files_of(path: Path) -> list[Path]:
         raise BagError(f'{path} holds .db3 and .mcap files and no {METADATA}: name the file')
     if files:
         return files
-    if any(p.suffix == '.bag' for p in found):
-        raise BagError(f'{path} holds a ROS 1 bag: {ROS1_ADVICE}')
+    if old := natsorted(p for p in found if p.suffix == '.bag'):
+        return old
     if any(p.name.endswith(('.mcap.zstd', '.db3.zstd')) for p in found):
         raise BagError(
             f'{path} holds compressed files and no {METADATA}: decompress them (zstd -d)'

@@ -15,6 +15,7 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import FileFormatError
 from hybridreg_ros.core.pointcloud2 import from_arrays
 from hybridreg_ros.core.scan import NS_PER_S
+from hybridreg_ros.data.loaders.clouds import read_cloud
 from hybridreg_ros.data.loaders.columns import read_bin
 from hybridreg_ros.data.loaders.depth_images import organised_points, read_depth_m, read_intrinsics
 from hybridreg_ros.data.loaders.posed_frames import rigid
@@ -23,7 +24,7 @@ from hybridreg_ros.replay import trajectory_io
 from hybridreg_ros.replay.recording import EPOCH_S, RecordedFrame
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -37,6 +38,15 @@ CAMERA_FRAME = 'camera_depth_optical_frame'
 KITTI_RATE_HZ, DEPTH_RATE_HZ = 10.0, 30.0
 DEPTH_UNITS_PER_M = 1000.0
 MAX_POSE_GAP_S = 0.1
+CLOUDS = ('.ply', '.pcd', '.npy', '.npz')
+PATTERNS = {
+    'kitti': ('velodyne/*.bin', '*.bin'),
+    'tum': ('depth.txt',),
+    'depth': ('*depth*.png', 'depth/*.png'),
+    'clouds': tuple(f'*{suffix}' for suffix in CLOUDS),
+}
+KINDS = tuple(PATTERNS)
+"""Layouts of folders, and the files that tell them."""
 
 
 @dataclass(frozen=True)
@@ -68,11 +78,13 @@ class Recording:
         frames: number of frames.
         poses: number of frames with a true pose.
         read: reads the frame of a number.
+        truth: stamp (ns) and true pose (4, 4) of the frames that have one, in their order.
     """
 
     frames: int
     poses: int
     read: Callable[[int], RecordedFrame]
+    truth: list[tuple[int, NDArray[np.float64]]]
 
     def __iter__(self) -> Iterator[RecordedFrame]:
         """Frames one after the other."""
@@ -83,7 +95,7 @@ def open_recording(kind: str, folder: Path, options: ConvertOptions) -> Recordin
     """Look through a folder.
 
     Args:
-        kind: kitti, depth or tum.
+        kind: one of KINDS.
         folder: where the files are.
         options: how to read them.
 
@@ -92,28 +104,67 @@ def open_recording(kind: str, folder: Path, options: ConvertOptions) -> Recordin
     """
     if not folder.is_dir():
         raise FileFormatError(f'no folder {folder}')
-    return {'kitti': _kitti, 'depth': _depth, 'tum': _tum}[kind](folder, options)
+    return {'kitti': _kitti, 'depth': _depth, 'tum': _tum, 'clouds': _clouds}[kind](
+        folder, options
+    )
+
+
+def kind_of(folder: Path) -> str | None:
+    """Which of KINDS a folder looks like; None for none of them."""
+    for kind, patterns in PATTERNS.items():
+        if any(next(folder.glob(pattern), None) for pattern in patterns):
+            return kind
+    return None
+
+
+def _recording(
+    stamps: list[int],
+    poses: Sequence[NDArray[np.float64] | None],
+    read: Callable[[int], RecordedFrame],
+) -> Recording:
+    truth = [(s, T) for s, T in zip(stamps, poses, strict=True) if T is not None]
+    return Recording(len(stamps), len(truth), read, truth)
 
 
 def _kitti(folder: Path, options: ConvertOptions) -> Recording:
     scans = natsorted((folder / 'velodyne').glob('*.bin')) or natsorted(folder.glob('*.bin'))
     if not scans:
         raise FileFormatError(f'{folder} holds no scans: expected velodyne/*.bin')
+    columns = options.columns or read_bin(scans[0]).shape[1]
+
+    def read(path: Path) -> CloudData:
+        table = read_bin(path, columns)
+        return from_arrays(
+            table[:, :3], {'intensity': table[:, 3].copy()} if columns > 3 else None
+        )
+
+    return _scans(folder, scans, read, options)
+
+
+def _clouds(folder: Path, options: ConvertOptions) -> Recording:
+    """Clouds of any format, one file each, with poses.txt and times.txt as KITTI has them."""
+    scans = natsorted(p for p in folder.iterdir() if p.suffix.lower() in CLOUDS)
+    if not scans:
+        raise FileFormatError(f'{folder} holds no clouds: expected {", ".join(CLOUDS)}')
+    return _scans(folder, scans, lambda path: from_arrays(read_cloud(path)), options)
+
+
+def _scans(
+    folder: Path, scans: list[Path], read: Callable[[Path], CloudData], options: ConvertOptions
+) -> Recording:
+    """Files of one scan each, with their poses and times."""
     poses = _kitti_poses(folder, options.poses)
     stamps = _kitti_stamps(folder, len(scans), options.rate_hz or KITTI_RATE_HZ)
     if poses is not None and len(poses) != len(scans):
         raise FileFormatError(f'{folder} has {len(scans)} scans but {len(poses)} poses')
     chosen = range(0, len(scans), options.stride)
-    columns = options.columns or read_bin(scans[0]).shape[1]
+    every = [None] * len(scans) if poses is None else list(poses)
 
-    def read(number: int) -> RecordedFrame:
+    def frame(number: int) -> RecordedFrame:
         i = chosen[number]
-        table = read_bin(scans[i], columns)
-        extra = {'intensity': table[:, 3].copy()} if columns > 3 else None
-        cloud = from_arrays(table[:, :3], extra)
-        return RecordedFrame(stamps[i], LIDAR_FRAME, cloud, None if poses is None else poses[i])
+        return RecordedFrame(stamps[i], LIDAR_FRAME, read(scans[i]), every[i])
 
-    return Recording(len(chosen), 0 if poses is None else len(chosen), read)
+    return _recording([stamps[i] for i in chosen], [every[i] for i in chosen], frame)
 
 
 def _kitti_poses(folder: Path, given: Path | None) -> NDArray[np.float64] | None:
@@ -194,14 +245,14 @@ def _depth(folder: Path, options: ConvertOptions) -> Recording:
     ordered = all(numbers) and len({int(n[-1]) for n in numbers}) == len(images)
     rate = options.rate_hz or DEPTH_RATE_HZ
     chosen = range(0, len(images), options.stride)
+    stamps = [_stamp_of(int(numbers[i][-1]) if ordered else i, rate) for i in chosen]
 
     def read(number: int) -> RecordedFrame:
         i = chosen[number]
         cloud = _depth_cloud(images[i], DEPTH_UNITS_PER_M, camera, options)
-        place = int(numbers[i][-1]) if ordered else i
-        return RecordedFrame(_stamp_of(place, rate), CAMERA_FRAME, cloud, poses[i])
+        return RecordedFrame(stamps[number], CAMERA_FRAME, cloud, poses[i])
 
-    return Recording(len(chosen), sum(poses[i] is not None for i in chosen), read)
+    return _recording(stamps, [poses[i] for i in chosen], read)
 
 
 def _depth_cloud(
@@ -250,7 +301,7 @@ def _tum(folder: Path, options: ConvertOptions) -> Recording:
         cloud = _depth_cloud(folder / name, UNITS_PER_M, camera, options)
         return RecordedFrame(stamp, CAMERA_FRAME, cloud, poses[number])
 
-    return Recording(len(chosen), sum(p is not None for p in poses), read)
+    return _recording([stamp for stamp, _ in chosen], poses, read)
 
 
 def pose_at(truth: Trajectory, stamp: int) -> NDArray[np.float64] | None:

@@ -19,7 +19,8 @@ from hybridreg_ros.metrics.mask import MaskCounts
 from hybridreg_ros.odometry.result import LOST_VARIANCE, Source
 from hybridreg_ros.replay.bag_writer import BagWriter
 from hybridreg_ros.replay.outputs import DYNAMIC_TOPIC, ODOM_TOPIC, STATIC_TOPIC
-from hybridreg_ros.replay.pictures import Album, FrameView
+from hybridreg_ros.replay.page.pictures import Album, FrameView
+from hybridreg_ros.replay.page.scene import SceneSink
 from hybridreg_ros.replay.runner import FrameLog, ReplayLog, true_dynamic
 from hybridreg_ros.replay.trajectory_io import tum_row
 
@@ -37,6 +38,7 @@ class LiveRecorder:
     Attributes:
         log: frames so far, complete after `close`.
         album: frames for the pictures.
+        seen: the scene.
     """
 
     def __init__(self, folder: Path, frames: int) -> None:
@@ -48,6 +50,7 @@ class LiveRecorder:
         """
         self.log = ReplayLog()
         self.album = Album(frames)
+        self.seen = SceneSink()
         self._tum = (folder / 'odometry.tum').open('w', encoding='ascii', buffering=1)
         self._bag = BagWriter(folder / 'dynamic.mcap', overwrite=True)
         self._lock = threading.Lock()
@@ -107,6 +110,8 @@ class LiveRecorder:
         view, told = _view(stamp, parts), parts.get('frame', {})
         if view is not None:
             self.album.offer(view)
+            if told.get('source') != Source.LOST.value:
+                self.seen.offer(stamp, pose, view.points, view.moving)
         self.log.frames.append(
             FrameLog(
                 stamp=stamp,

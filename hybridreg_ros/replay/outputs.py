@@ -23,8 +23,11 @@ from hybridreg_ros.replay.trajectory_io import tum_row
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from numpy.typing import NDArray
+
     from hybridreg_ros.metrics.trajectory import Trajectory
     from hybridreg_ros.odometry.result import OdometryResult
+    from hybridreg_ros.replay.frame_errors import FrameErrors
     from hybridreg_ros.replay.runner import FrameLog, ReplayLog
 
 ODOM_TOPIC = '/hybridreg/odom'
@@ -134,7 +137,12 @@ def stage_times(frames: Sequence[FrameLog]) -> dict[str, dict[str, float]]:
 
 
 def metrics_of(
-    log: ReplayLog, scores: Scores, config: Mapping[str, Any], bag: Path, **about: Any
+    log: ReplayLog,
+    scores: Scores,
+    config: Mapping[str, Any],
+    bag: Path,
+    errors: FrameErrors | None = None,
+    **about: Any,
 ) -> dict[str, Any]:
     """Content of metrics.json.
 
@@ -143,9 +151,14 @@ def metrics_of(
         scores: its scores.
         config: configuration of the front end, plain values.
         bag: input, whose checksum is recorded.
+        errors: of the single frames, None without truth.
         **about: further entries such as topic, stride, registrar, live, recovered.
     """
     frames = log.frames
+    rows = [_frame_row(f) for f in frames]
+    if errors is not None:
+        for k, row in enumerate(errors.rows.tolist()):
+            rows[row] |= {'position_mm': errors.position_mm[k], 'step_mm': errors.step_mm[k]}
     seen = {f.reason for f in frames}
     confidence = np.array([f.confidence for f in frames if math.isfinite(f.confidence)])
     return {
@@ -167,7 +180,7 @@ def metrics_of(
         'warning': scores.warning,
         'time_ms': stage_times(frames),
         'wall_s': log.wall_s,
-        'per_frame': [_frame_row(f) for f in frames],
+        'per_frame': rows,
         'provenance': provenance.collect(config, (bag,)),
     }
 
@@ -187,6 +200,26 @@ def _frame_row(frame: FrameLog) -> dict[str, Any]:
         'total_ms': 1000.0 * frame.seconds.get('total', float('nan')),
         'mask': frame.mask,
     }
+
+
+def write_trajectories(folder: Path, made: Trajectory, truth: Trajectory | None) -> None:
+    """Write odometry_kitti.txt, and truth.tum and truth_kitti.txt where there is a truth.
+
+    The rows of both KITTI files belong together: poses that lack a partner are left out of both.
+    """
+    rows, others = np.arange(len(made)), None
+    if truth is not None and len(made) and len(truth):
+        (folder / 'truth.tum').write_text(
+            ''.join(tum_row(s, T) + '\n' for s, T in zip(truth.stamps, truth.poses, strict=True)),
+            encoding='ascii',
+        )
+        rows, others = trajectory.associate(made, truth)
+        _write_kitti(folder / 'truth_kitti.txt', truth.poses[others])
+    _write_kitti(folder / 'odometry_kitti.txt', made.poses[rows])
+
+
+def _write_kitti(path: Path, poses: NDArray[np.float64]) -> None:
+    np.savetxt(path, poses[:, :3].reshape(-1, 12), fmt='%.12g')
 
 
 def plain(value: Any) -> Any:

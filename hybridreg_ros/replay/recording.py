@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,6 +43,15 @@ class RecordedFrame:
     frame_id: str
     cloud: CloudData
     T_world_sensor: NDArray[np.float64] | None
+
+
+def as_message(frame: RecordedFrame) -> SimpleNamespace:
+    """A frame with the attributes of a sensor_msgs/PointCloud2."""
+    sec, nanosec = divmod(frame.stamp, NS_PER_S)
+    header = SimpleNamespace(
+        stamp=SimpleNamespace(sec=sec, nanosec=nanosec), frame_id=frame.frame_id
+    )
+    return SimpleNamespace(header=header, **vars(frame.cloud))
 
 
 def simulated(

@@ -11,22 +11,29 @@ from typing import TYPE_CHECKING, Any
 
 from hybridreg_ros.core.config import load_yaml, to_dict
 from hybridreg_ros.core.pages import one_heap
+from hybridreg_ros.data.loaders.clouds import write_cloud
 from hybridreg_ros.metrics.extrinsic import extrinsic_of, follow
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.replay import outputs, runner
-from hybridreg_ros.replay.bag_reader import open_bag
+from hybridreg_ros.replay.clean_map import CleanMap, MapReport, MapSink
+from hybridreg_ros.replay.folder_log import between, open_log
+from hybridreg_ros.replay.frame_errors import frame_errors
 from hybridreg_ros.replay.interrupt import StopRequest
-from hybridreg_ros.replay.pictures import Album
-from hybridreg_ros.replay.report import ReportRun, write_report
+from hybridreg_ros.replay.page.pictures import Album
+from hybridreg_ros.replay.page.report import ReportRun, write_report
+from hybridreg_ros.replay.page.scene import SceneSink
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    from hybridreg_ros.core.scan import Scan
     from hybridreg_ros.metrics.trajectory import Trajectory
     from hybridreg_ros.odometry.frontend import HybridOdometry
-    from hybridreg_ros.replay.bag_reader import Bag
-    from hybridreg_ros.replay.pictures import FrameView
+    from hybridreg_ros.odometry.result import OdometryResult
+    from hybridreg_ros.replay.folder_log import Log
+    from hybridreg_ros.replay.page.pictures import FrameView
+    from hybridreg_ros.replay.page.scene import Scene
     from hybridreg_ros.replay.runner import FrameLog, ReplayLog
 
 
@@ -35,7 +42,7 @@ class Job:
     """What to do with one bag.
 
     Attributes:
-        bag: file or directory.
+        bag: bag file or directory, or folder of recorded files.
         out: folder of the results.
         config: settings of the front end.
         weights: checkpoint, None for the packaged one.
@@ -46,7 +53,12 @@ class Job:
         time_field: field of per-point times, '' = by the usual names.
         stride: take every n-th cloud.
         max_frames: stop after so many.
+        start_s: begin so many seconds after the first cloud.
+        duration_s: end so many seconds later, None = at the end.
         clouds: write dynamic and static clouds into dynamic.mcap.
+        compare: run kiss-icp alone beside it.
+        map: file (.ply, .pcd, ...) for the cleaned map, None for none.
+        moving: file for the points that moved.
     """
 
     bag: Path
@@ -60,7 +72,23 @@ class Job:
     time_field: str = ''
     stride: int = 1
     max_frames: int | None = None
+    start_s: float = 0.0
+    duration_s: float | None = None
     clouds: bool = True
+    compare: bool = True
+    map: Path | None = None
+    moving: Path | None = None
+
+
+def asked(job: Job) -> dict[str, Any]:
+    """What decides the results of a job, as plain values; equal ones need not be done again."""
+    file = job.bag.stat() if job.bag.exists() else None
+    return {
+        **{f.name: getattr(job, f.name) for f in dataclasses.fields(job) if f.name != 'config'},
+        'out': None,
+        'config': to_dict(job.config),
+        'changed_ns': None if file is None else file.st_mtime_ns,
+    }
 
 
 def odometry_config(path: Path | None, registrar: str | None = None) -> OdometryConfig:
@@ -91,7 +119,7 @@ def open_front_end(config: OdometryConfig, weights: Path | None) -> HybridOdomet
     return HybridOdometry(config, model=HybridReg.from_pretrained(weights))
 
 
-def truth_of(job: Job, bag: Bag) -> Trajectory | None:
+def truth_of(job: Job, bag: Log) -> Trajectory | None:
     """True poses of the sensor, None without.
 
     Raises:
@@ -110,13 +138,44 @@ def planned_frames(job: Job) -> tuple[str, int]:
     Raises:
         BagError: the bag cannot be read, or has no such topic.
     """
-    with open_bag(job.bag) as bag:
+    with open_log(job.bag) as bag:
         topic = bag.cloud_topic(job.topic)
         count = -(-bag.topics[topic].messages // job.stride)
     return topic, count if job.max_frames is None else min(count, job.max_frames)
 
 
-def replay(job: Job, tick: Callable[[FrameLog | None], None] | None = None) -> ReportRun:
+class Beside:
+    """Another front end on the same clouds: a sink that keeps a log of its own.
+
+    Args:
+        name: in the report.
+        front_end: takes one scan after the other.
+    """
+
+    def __init__(self, name: str, front_end: runner.FrontEnd) -> None:
+        self.name = name
+        self.log = runner.ReplayLog()
+        self._front_end = front_end
+
+    def add(self, message: Any, result: OdometryResult) -> None:
+        """Let it take the scan of a result."""
+        self.take(message, result.scan)
+
+    def take(self, message: Any, scan: Scan) -> None:
+        """Let it take a scan and the message it came from."""
+        self.log.frames.append(runner.log_frame(message, self._front_end.step(scan)))
+
+    def run(self, truth: Trajectory | None) -> ReportRun:
+        """Its part of the report; it says nothing about moving points."""
+        scores = dataclasses.replace(outputs.score_log(self.log, truth), mask=None)
+        return ReportRun(self.name, self.log, scores, truth)
+
+
+def replay(
+    job: Job,
+    tick: Callable[[FrameLog | None], None] | None = None,
+    beside: Beside | None = None,
+) -> ReportRun:
     """Send a bag through the front end offline and write all results.
 
     After Ctrl-C or at a damaged place of the bag, the results so far are written all the same.
@@ -124,6 +183,7 @@ def replay(job: Job, tick: Callable[[FrameLog | None], None] | None = None) -> R
     Args:
         job: what to do.
         tick: called after each cloud.
+        beside: a front end to compare with, None for none.
 
     Raises:
         BagError: the bag cannot be opened or has no usable topic.
@@ -133,19 +193,26 @@ def replay(job: Job, tick: Callable[[FrameLog | None], None] | None = None) -> R
     threshold = job.config.dynamics.threshold
     front_end = open_front_end(job.config, job.weights)
     job.out.mkdir(parents=True, exist_ok=True)
-    album = Album(count, threshold=threshold)
+    album, seen = Album(count, threshold=threshold), SceneSink(threshold)
+    also = () if beside is None else (beside,)
+    wanted = job.map is not None or job.moving is not None
     with contextlib.ExitStack() as stack:
-        bag = stack.enter_context(open_bag(job.bag))
+        bag = open_log(job.bag)
+        stack.enter_context(bag)
         truth = truth_of(job, bag)
         tum = stack.enter_context(contextlib.closing(outputs.TumFile(job.out / 'odometry.tum')))
         made = outputs.OutputBag(job.out / 'dynamic.mcap', job.clouds, threshold)
         stack.enter_context(contextlib.closing(made))
+        mapped = [MapSink(job.out, threshold, job.config)] if wanted else []
+        for sink in mapped:
+            stack.enter_context(contextlib.closing(sink))
         stop = stack.enter_context(StopRequest())
-        frames = bag.frames(topic, job.time_unit, job.time_field)
+        every = bag.frames(topic, job.time_unit, job.time_field)
+        frames = between(every, job.start_s, job.duration_s)
         log = runner.run(
             (f if f.scan is None else f._replace(scan=front_end.seen(f.scan)) for f in frames),
             front_end,
-            (tum, made, album),
+            (tum, made, album, seen, *mapped, *also),
             job.stride,
             job.max_frames,
             threshold,
@@ -153,12 +220,22 @@ def replay(job: Job, tick: Callable[[FrameLog | None], None] | None = None) -> R
             stop,
         )
         recovered = bag.recovered
+        about: dict[str, Any] = {'map': _write_map(job, mapped[0].make())} if mapped else {}
     if recovered is not None:
         log.notes.append(f'the bag is cut off, {recovered} messages were recovered')
     if job.config.registrar == 'hybridreg' and not front_end.has_network:
         log.notes.append('no network weights: kiss-icp registers every scan')
-    about = {'topic': topic, 'stride': job.stride, 'live': False, 'recovered': recovered}
-    return finish(job, log, truth, album.views(), about)
+    about |= {'topic': topic, 'stride': job.stride, 'live': False, 'recovered': recovered}
+    runs = [b.run(truth) for b in also]
+    return finish(job, log, truth, album.views(), about, seen.scene(), runs)
+
+
+def _write_map(job: Job, made: CleanMap) -> MapReport:
+    for path, points in ((job.map, made.still), (job.moving, made.moving)):
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_cloud(path, points)
+    return made.report
 
 
 def finish(
@@ -167,6 +244,8 @@ def finish(
     truth: Trajectory | None,
     views: list[FrameView],
     about: dict[str, Any],
+    scene: Scene | None = None,
+    beside: Sequence[ReportRun] = (),
 ) -> ReportRun:
     """Score a run, live or offline, and write metrics.json and report.html.
 
@@ -176,19 +255,31 @@ def finish(
         truth: reference, None without.
         views: frames for the pictures.
         about: further entries of metrics.json.
+        scene: what the 3D view shows.
+        beside: other runs on the same clouds.
     """
     scores = outputs.score_log(log, truth)
     metrics = outputs.metrics_of(
-        log, scores, to_dict(job.config), job.bag, registrar=job.config.registrar, **about
+        log,
+        scores,
+        to_dict(job.config),
+        job.bag,
+        None if truth is None or scores.trajectory is None else frame_errors(log, truth),
+        registrar=job.config.registrar,
+        asked=asked(job),
+        beside={r.name: r.scores.trajectory for r in beside},
+        **about,
     )
-    outputs.write_json(job.out / 'metrics.json', metrics)
-    run = ReportRun(job.config.registrar, log, scores, truth, views, metrics)
+    run = ReportRun(job.config.registrar, log, scores, truth, views, metrics, scene, tuple(beside))
     mode = 'through the node, live' if about.get('live') else 'offline'
     write_report(
         job.out / 'report.html',
         f'Replay of {job.bag.name}',
         f'{len(log.frames)} frames {mode}, front end {job.config.registrar}, '
         f'{log.wall_s:.1f} s of computation',
-        [run],
+        [run, *beside],
     )
+    outputs.write_trajectories(job.out, log.trajectory(), truth)
+    # Last, since it is the sign that a run is finished.
+    outputs.write_json(job.out / 'metrics.json', metrics)
     return run

@@ -21,6 +21,7 @@ COMMANDS = (
     'simulate',
     'replay',
     'score',
+    'compare',
     'generate',
     'train',
     'evaluate',

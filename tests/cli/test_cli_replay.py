@@ -20,9 +20,18 @@ from hybridreg_ros.cli.main import main
 from hybridreg_ros.core.pointcloud2 import CloudData, from_arrays
 from hybridreg_ros.replay.bag_reader import open_bag
 from hybridreg_ros.replay.bag_writer import BagWriter
+from hybridreg_ros.replay.page.report import plotly_script
 
 KISS = ['--registrar', 'kiss-icp']
-OUTPUTS = {'odometry.tum', 'metrics.json', 'report.html', 'dynamic.mcap'}
+OUTPUTS = {
+    'odometry.tum',
+    'odometry_kitti.txt',
+    'truth.tum',
+    'truth_kitti.txt',
+    'metrics.json',
+    'report.html',
+    'dynamic.mcap',
+}
 
 
 def failure(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
@@ -89,7 +98,7 @@ def test_point_times_are_used_or_it_is_said_why(tmp_path: Path) -> None:
     assert [row['invalid'] for row in metrics['per_frame']] == [1, 1, 1, 1]
     note = 'field point_time_offset: 1 points left out whose times are not those of the scan'
     assert f'in 4 of 4 clouds: {note}' in metrics['notes']
-    assert main([*arguments, '--time-field', 'when']) == 0
+    assert main([*arguments, '--time-field', 'when', '--overwrite']) == 0
     metrics = json.loads(result.read_text())
     assert metrics['point_times'] == {'none: no field when': 4}
     assert 'in 4 of 4 clouds: no field when in: x, y, z, point_time_offset' in metrics['notes']
@@ -173,6 +182,7 @@ def test_score_of_the_outputs_equals_the_metrics(
 
 def test_report_says_what_counts(replayed: Path) -> None:
     page = (replayed / 'report.html').read_text('utf-8')
+    page = page.replace(plotly_script(), '')
     for text in ('Trajectory', 'Error of each frame', 'Frames seen from the sensor', 'ATE'):
         assert text in page
     assert 'http://' not in page.replace('http://www.w3.org/2000/svg', '')
@@ -313,7 +323,7 @@ def test_bad_bags_give_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert not (tmp_path / 'o').exists()
     arguments = ['replay', str(tmp_path / 'two.mcap'), '--out', str(tmp_path / 'o'), *KISS]
     assert main([*arguments, '--topic', '/rear']) == 0
-    assert 'has no topic /top' in failure(capsys, [*arguments, '--topic', '/top'])
+    assert 'has no topic /top' in failure(capsys, [*arguments, '--topic', '/top', '--overwrite'])
 
 
 def test_bad_settings_give_one_line(
@@ -353,7 +363,7 @@ def test_several_bags(room_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     result = tmp_path / 'r.json'
     assert main([*arguments, '--out', str(tmp_path / 'o'), '--json', str(result)]) == 0
     table = capsys.readouterr().out
-    assert {p.name for p in (tmp_path / 'o').iterdir()} == {'room', 'other'}
+    assert {p.name for p in (tmp_path / 'o').iterdir()} == {'room', 'other', 'index.html'}
     assert '\nroom ' in table
     assert '\nother ' in table
     assert set(json.loads(result.read_text())) == {str(room_bag), str(tmp_path / 'other.db3')}

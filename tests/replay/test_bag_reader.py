@@ -131,8 +131,8 @@ def broken(folder: Path) -> dict[str, Path]:
     [
         ('gone', 'no bag at'),
         ('empty_dir', r'neither metadata\.yaml nor'),
-        ('a.txt', r'expected a \.mcap or \.db3 file'),
-        ('a.bag', r'ROS 1 bag: convert it first, rosbags-convert'),
+        ('a.txt', r'expected a \.mcap, \.db3 or \.bag file'),
+        ('a.bag', r'cannot read bag .*: try rosbag reindex'),
         ('x.mcap', 'no complete message in it'),
         ('x.db3', 'does not begin like an sqlite3 file'),
         ('0.mcap', 'no complete message in it'),
@@ -389,7 +389,7 @@ def test_odd_metadata(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
 def test_folders_of_other_files(tmp_path: Path) -> None:
     for names, text in (
         (['a.mcap', 'b.db3'], r'holds \.db3 and \.mcap files and no metadata'),
-        (['a.bag'], 'holds a ROS 1 bag: convert it first, rosbags-convert'),
+        (['a.bag'], 'try rosbag reindex'),
         (['a.mcap.zstd'], 'holds compressed files and no metadata'),
     ):
         folder = tmp_path / names[0].replace('.', '_')

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import base64
+import dataclasses
 import doctest
 import io
 import json
@@ -23,9 +25,11 @@ from hybridreg_ros.core.pointcloud2 import from_arrays
 from hybridreg_ros.core.quaternion import to_quaternion
 from hybridreg_ros.metrics.mask import MaskCounts
 from hybridreg_ros.metrics.trajectory import Trajectory
-from hybridreg_ros.replay import charts, outputs, pictures, report, report_tables
+from hybridreg_ros.replay import outputs
 from hybridreg_ros.replay.bag_reader import open_bag
+from hybridreg_ros.replay.frame_errors import frame_errors
 from hybridreg_ros.replay.live_log import LiveRecorder
+from hybridreg_ros.replay.page import charts, pictures, report, scene, story, tables
 from hybridreg_ros.replay.runner import Drop, FrameLog, ReplayLog
 
 if TYPE_CHECKING:
@@ -155,8 +159,9 @@ def test_report_escapes_and_tells_everything(tmp_path: Path) -> None:
     match = re.search(r'id="frames">(.*?)</script>', page)
     assert match
     rows = json.loads(match[1])
-    assert [r['s'] for r in rows] == ['kiss_icp'] * 3 + ['hybridreg'] * 3
+    assert [r['s'] for r in rows] == ['kiss-icp'] * 3 + ['network'] * 3
     assert rows[0]['e'] is None
+    assert rows[1]['ep'] == pytest.approx(0.0, abs=1e-6)
     assert rows[1]['e'] == pytest.approx(0.0, abs=1e-6)
     assert '>0.333<' in page, 'IoU 5 / 15'
 
@@ -170,10 +175,91 @@ def test_report_of_next_to_nothing(tmp_path: Path, n: int) -> None:
     assert 'No trajectory score' in (tmp_path / 'r.html').read_text('utf-8')
 
 
+def steady_log(n: int = 20, push: int | None = None) -> ReplayLog:
+    """A straight walk; frame `push` stands 40 mm beside it."""
+    poses = [se3.exp(np.array([0.1 * i, 0.0, 0.0, 0.0, 0.0, 0.0])) for i in range(n)]
+    if push is not None:
+        poses[push][1, 3] += 0.04
+    return ReplayLog(
+        [
+            FrameLog(START + i * PERIOD, T, 'hybridreg', 'ok', 0.99, seconds={'total': 0.05})
+            for i, T in enumerate(poses)
+        ]
+    )
+
+
+def test_story_without_truth_names_the_jump() -> None:
+    scores = outputs.Scores()
+    text = ' '.join(story.sentences(steady_log(push=12), scores, START))
+    assert '20 clouds in 1.9 s; the sensor went 1.9' in text
+    assert 'the path ends 1.90 m from where it began' in text
+    assert 'the largest by 40.0 mm (at 1.20 s, reported with a confidence of 0.99)' in text
+    assert 'A cloud took 50 ms (median), faster than they came (every 100 ms).' in text
+    assert story.worst(steady_log(push=12), None)[0] == (12, 'jump of 40.0 mm')
+    calm = ' '.join(story.sentences(steady_log(), scores, START))
+    assert 'unlike' not in calm
+    assert 'No pose was lost, and every cloud was used.' in calm
+
+
+def test_story_with_truth_compares_and_finds_the_worst_frame() -> None:
+    truth, log = steady_log().trajectory(), steady_log(push=12)
+    scores = outputs.score_log(log, truth)
+    other = outputs.score_log(steady_log(push=5), truth)
+    text = ' '.join(story.sentences(log, scores, START, [('kiss-icp alone', other)]))
+    assert re.search(r'The path is \d+\.\d mm off the truth', text)
+    assert 'kiss-icp alone on the same clouds: ' in text
+    errors = frame_errors(log, truth)
+    assert {row for row, _ in story.worst(log, errors)[:2]} == {12, 13}
+    back = se3.apply(errors.T_odom_world, errors.truth_path)
+    np.testing.assert_allclose(back, [[0.1 * i, 0.0, 0.0] for i in range(20)], atol=0.02)
+
+
+def test_story_says_when_what_went_wrong() -> None:
+    log = steady_log()
+    for k in (3, 4, 5, 9):
+        log.frames[k] = dataclasses.replace(log.frames[k], source='lost', confidence=0.0)
+    log.drops.append(Drop(START, 'cut'))
+    log.interrupted = 'interrupted (Ctrl-C)'
+    text = ' '.join(story.sentences(log, outputs.Scores(), START))
+    assert 'The pose was lost in 4 frames: 0.3 to 0.5 s, 0.9 s.' in text
+    assert '1 clouds were not used' in text
+    assert 'This run ended early: interrupted (Ctrl-C).' in text
+    assert story.worst(log, None)[0] == (3, 'lost')
+
+
+def test_scene_is_bounded_and_stands_where_it_was() -> None:
+    rng = np.random.default_rng(1)
+    sink = scene.SceneSink()
+    wall = np.stack([rng.random(40_000) * 400, np.zeros(40_000), rng.random(40_000) * 400], axis=1)
+    for k in range(400):
+        pose = se3.exp(np.array([0.5 * k, 0.0, 0.0, 0.0, 0.0, 0.3]))
+        seen = se3.apply(se3.inverse(pose), wall + rng.normal(0, 0.001, wall.shape))
+        moving = np.zeros(len(seen), bool)
+        moving[:2000] = True
+        sink.offer(START + k * PERIOD, pose, seen.astype(np.float32), moving)
+    made = sink.scene()
+    assert len(made.still) <= scene.STILL_POINTS
+    assert sum(map(len, made.moving.values())) <= scene.MOVING_POINTS
+    assert 100 <= len(made.moving) < 400
+    assert np.abs(made.still[:, 1]).max() < 0.01
+    assert not made.optical
+    page = scene.for_page(made, START)
+    low, steps = page['low'], np.frombuffer(base64.b64decode(page['still']), '<u2').reshape(-1, 3)
+    np.testing.assert_allclose(low + page['step'] * steps, made.still, atol=0.6 * page['step'])
+    assert [m['t'] for m in page['moving']] == sorted(m['t'] for m in page['moving'])
+
+
+def test_scene_of_a_camera_stands_upright() -> None:
+    made = scene.SceneSink()
+    made.offer(START, np.eye(4), wall(optical=True), np.zeros(len(wall(True)), bool))
+    up = made.scene().upright(np.array([[0.0, -1.0, 3.0]]))
+    np.testing.assert_allclose(up, [[3.0, 0.0, 1.0]])
+
+
 def test_text_table_is_aligned() -> None:
     log = run_log()
-    rows = report_tables.score_rows([('a', log, outputs.score_log(log, None))])
-    lines = report_tables.text_table(rows).splitlines()
+    rows = tables.score_rows([('a', log, outputs.score_log(log, None))])
+    lines = tables.text_table(rows).splitlines()
     assert len({len(line) for line in lines}) == 1
     assert lines[0].startswith('run')
     assert lines[2].split()[1] == '6'

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 WIDTH, HEIGHT = 900, 300
-LEFT, RIGHT, TOP, BOTTOM = 76, 16, 14, 44
+LEFT, RIGHT, TOP, BOTTOM = 84, 16, 14, 52
 MAX_POINTS = 2000
 
 
@@ -114,15 +114,19 @@ def _path(axes: _Axes, series: Series) -> str:
 def _grid(axes: _Axes, x_label: str, y_label: str) -> list[str]:
     parts = []
     bottom, right = axes.height - BOTTOM, WIDTH - RIGHT
-    for y in ticks(axes.y0, axes.y1, 5):
+    for k, y in enumerate(ticks(axes.y0, axes.y1, 5)):
+        odd = ' odd' if k % 2 else ''  # left out on a narrow screen
         parts.append(f'<path class="grid" d="M{LEFT} {axes.py(y):.1f}H{right}"/>')
-        parts.append(f'<text x="{LEFT - 8}" y="{axes.py(y) + 4:.1f}" class="end">{y:g}</text>')
-    for x in ticks(axes.x0, axes.x1, 8):
+        parts.append(
+            f'<text x="{LEFT - 8}" y="{axes.py(y) + 4:.1f}" class="end{odd}">{y:g}</text>'
+        )
+    for k, x in enumerate(ticks(axes.x0, axes.x1, 8)):
+        odd = ' odd' if k % 2 else ''
         parts.append(f'<path class="grid" d="M{axes.px(x):.1f} {TOP}V{bottom}"/>')
-        parts.append(f'<text x="{axes.px(x):.1f}" y="{bottom + 18}" class="mid">{x:g}</text>')
+        parts.append(f'<text x="{axes.px(x):.1f}" y="{bottom + 20}" class="mid{odd}">{x:g}</text>')
     middle = (TOP + bottom) / 2
     center, low = (LEFT + right) / 2, axes.height - 6
-    turn = f'translate(14 {middle}) rotate(-90)'
+    turn = f'translate(18 {middle}) rotate(-90)'
     parts.append(f'<text x="{center}" y="{low}" class="mid">{escape(x_label)}</text>')
     parts.append(f'<text transform="{turn}" class="mid">{escape(y_label)}</text>')
     return parts

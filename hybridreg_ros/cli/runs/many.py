@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -55,6 +56,8 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
         raise DependencyError(
             "several workers need Dask: pip install 'hybridreg_ros[scale]'"
         ) from None
+    # What Dask says of its workers' comings and goings is no news to anybody here.
+    logging.getLogger('distributed').setLevel(logging.CRITICAL)
     if scheduler is not None:
         try:
             client = Client(scheduler, timeout=CONNECT_S)
@@ -75,7 +78,7 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
             processes=True,
             dashboard_address=None,
             memory_limit=0,
-            silence_logs='ERROR',
+            silence_logs='CRITICAL',
         ) as cluster,
         Client(cluster) as client,
     ):

@@ -90,6 +90,13 @@ class Album:
         return [chosen[stamp] for stamp in sorted(chosen)]
 
 
+def is_optical(points: NDArray[np.floating]) -> bool:
+    """Whether points (N, 3) are those of a camera: x right, y down, z ahead (REP-103)."""
+    if not len(points):
+        return False
+    return bool((points[:, 2] > 0.0).mean() > 0.99 and (points[:, 0] > 0.0).mean() < 0.99)
+
+
 def _directions(
     points: NDArray[np.float32],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
@@ -99,9 +106,8 @@ def _directions(
     angles in degrees.
     """
     x, y, z = points.astype(np.float64).T
-    optical = (z > 0.0).mean() > 0.99 and (x > 0.0).mean() < 0.99
-    # Optical frames have x right, y down, z forward; others x forward, y left, z up (REP-103).
-    right, up, forward = (x, -y, z) if optical else (-y, z, x)
+    # Other frames than optical ones have x forward, y left, z up (REP-103).
+    right, up, forward = (x, -y, z) if is_optical(points) else (-y, z, x)
     azimuth = np.rad2deg(np.arctan2(right, forward))
     low, high = np.percentile(azimuth, [0.2, 99.8])
     if max(-low, high) < 0.5 * WIDE_DEG:

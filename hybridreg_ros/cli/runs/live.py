@@ -18,7 +18,8 @@ from hybridreg_ros.replay.runner import INTERRUPTED, Drop
 if TYPE_CHECKING:
     import argparse
 
-    from hybridreg_ros.replay.report import ReportRun
+    from hybridreg_ros.metrics.trajectory import Trajectory
+    from hybridreg_ros.replay.page.report import ReportRun
 
 
 @dataclass(frozen=True)
@@ -45,10 +46,14 @@ def check_options(args: argparse.Namespace) -> None:
     refused = {
         '--stride': args.stride != 1,
         '--max-frames': args.max_frames is not None,
+        '--start': args.start != 0.0,
+        '--duration': args.duration is not None,
         '--time-unit': args.time_unit != 'auto',
         '--time-field': args.time_field != '',
         '--weights': args.weights is not None,
         '--no-clouds': args.no_clouds,
+        '--map': args.map is not None,
+        '--moving': args.moving is not None,
     }
     for option, used in refused.items():
         if used:
@@ -61,12 +66,15 @@ def _said(diagnostics: str) -> list[str]:
     return [f for f in findings if f not in ('', 'ok') and not f.startswith('no cloud for')]
 
 
-def replay_live(job: session.Job, options: LiveOptions) -> ReportRun:
+def replay_live(
+    job: session.Job, options: LiveOptions, beside: session.Beside | None = None
+) -> ReportRun:
     """Play a bag into the real node over DDS; record, score and report what it publishes.
 
     Args:
         job: bag, output folder and settings.
         options: speed, domain, patience.
+        beside: a front end that takes the same clouds afterwards, offline.
 
     Raises:
         DependencyError: rclpy is not installed.
@@ -79,7 +87,7 @@ def replay_live(job: session.Job, options: LiveOptions) -> ReportRun:
             f"--live needs {error.name}: pip install 'hybridreg_ros[ros]', or source ROS 2 Jazzy"
         ) from None
     topic, count = session.planned_frames(job)
-    with open_bag(job.bag) as bag:
+    with open_bag(job.bag) as bag:  # a folder of files cannot be played
         truth = session.truth_of(job, bag)
     job.out.mkdir(parents=True, exist_ok=True)
     recorder = LiveRecorder(job.out, count)
@@ -111,4 +119,16 @@ def replay_live(job: session.Job, options: LiveOptions) -> ReportRun:
             ]
         except KeyboardInterrupt:
             recorder.log.interrupted = INTERRUPTED
-    return session.finish(job, recorder.log, truth, recorder.album.views(), about)
+    runs = [] if beside is None else [_afterwards(job, topic, beside, truth)]
+    views, seen = recorder.album.views(), recorder.seen.scene()
+    return session.finish(job, recorder.log, truth, views, about, seen, runs)
+
+
+def _afterwards(
+    job: session.Job, topic: str, beside: session.Beside, truth: Trajectory | None
+) -> ReportRun:
+    with open_bag(job.bag) as bag:
+        for frame in bag.frames(topic):
+            if frame.scan is not None:
+                beside.take(frame.message, frame.scan)
+    return beside.run(truth)

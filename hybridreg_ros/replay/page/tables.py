@@ -25,7 +25,8 @@ MISSING = '-'
 SHOWN_DROPS = 50
 
 
-def _number(value: float | None, digits: int) -> str:
+def number(value: float | None, digits: int) -> str:
+    """A number with so many digits; a dash for none."""
     if value is None or not math.isfinite(value):
         return MISSING
     return f'{value:.{digits}f}'
@@ -33,17 +34,17 @@ def _number(value: float | None, digits: int) -> str:
 
 def _trajectory_cells(t: TrajectoryScore) -> list[str]:
     return [
-        _number(t.ate_rmse_m, 4),
-        _number(t.ate_percent, 2),
-        _number(t.step_mean_mm, 1),
-        _number(t.step_mean_deg, 3),
-        _number(t.drift.translation_percent if t.drift else None, 2),
+        number(1000.0 * t.ate_rmse_m, 1),
+        number(t.ate_percent, 2),
+        number(t.step_mean_mm, 1),
+        number(t.step_mean_deg, 3),
+        number(t.drift.translation_percent if t.drift else None, 2),
     ]
 
 
 def score_rows(runs: Sequence[Row]) -> list[list[str]]:
     """Header and one row per run, as text."""
-    header = ['run', 'frames', 'ATE m', 'ATE %', 'step mm', 'step deg', 'drift %']
+    header = ['run', 'frames', 'ATE mm', 'ATE %', 'step mm', 'step deg', 'drift %']
     header += ['IoU', 'precision', 'recall', 'ms/frame', 'network', 'kiss-icp', 'lost']
     rows = [header]
     for name, log, scores in runs:
@@ -55,8 +56,8 @@ def score_rows(runs: Sequence[Row]) -> list[list[str]]:
                 name,
                 str(sum(f.accepted for f in log.frames)),
                 *(_trajectory_cells(t) if t else [MISSING] * 5),
-                *([_number(v, 3) for v in (m.iou, m.precision, m.recall)] if m else [MISSING] * 3),
-                _number(total, 1),
+                *([number(v, 3) for v in (m.iou, m.precision, m.recall)] if m else [MISSING] * 3),
+                number(total, 1),
                 *(
                     str(sources.get(s, 0)) if sources else MISSING
                     for s in ('hybridreg', 'kiss_icp', 'lost')
@@ -78,10 +79,17 @@ def text_table(rows: Sequence[Sequence[str]]) -> str:
     return '\n'.join(lines)
 
 
-def _html_table(rows: Sequence[Sequence[str]]) -> str:
+def _cell(text: str, link: str | None) -> str:
+    name = escape(text)
+    return name if link is None else f'<a href="{escape(link, quote=True)}">{name}</a>'
+
+
+def html_table(rows: Sequence[Sequence[str]], links: Mapping[str, str] | None = None) -> str:
+    """Header and rows of text; a first cell that `links` knows leads there."""
+    links = links or {}
     head = ''.join(f'<th scope="col">{escape(cell)}</th>' for cell in rows[0])
     body = ''.join(
-        f'<tr><th scope="row">{escape(row[0])}</th>'
+        f'<tr><th scope="row">{_cell(row[0], links.get(row[0]))}</th>'
         + ''.join(f'<td>{escape(cell)}</td>' for cell in row[1:])
         + '</tr>'
         for row in rows[1:]
@@ -99,17 +107,19 @@ def score_table(runs: Sequence[Row]) -> str:
         'to the next. Drift: mean error of path segments. IoU, precision, recall: points called '
         'moving against true labels.</p>'
     )
-    return note + _html_table([list(column) for column in zip(*score_rows(runs), strict=True)])
+    columns = [list(column) for column in zip(*score_rows(runs), strict=True)]
+    known = [c for c in columns if any(cell != MISSING for cell in c[1:])]
+    return note + html_table(known)
 
 
 def time_table(log: ReplayLog) -> str:
     """Milliseconds per stage as an HTML table."""
     rows = [['stage', 'median ms', 'mean ms', '95th percentile ms']]
     rows += [
-        [stage, _number(v['median'], 1), _number(v['mean'], 1), _number(v['p95'], 1)]
+        [stage, number(v['median'], 1), number(v['mean'], 1), number(v['p95'], 1)]
         for stage, v in stage_times(log.frames).items()
     ]
-    return _html_table(rows)
+    return html_table(rows)
 
 
 def drop_table(log: ReplayLog, start: int) -> str:
@@ -120,16 +130,12 @@ def drop_table(log: ReplayLog, start: int) -> str:
     rows += [[f'{(d.stamp - start) / NS_PER_S:.3f}', d.reason] for d in log.drops[:SHOWN_DROPS]]
     more = len(log.drops) - SHOWN_DROPS
     tail = f'<p>{more} more are listed in metrics.json.</p>' if more > 0 else ''
-    return f'<section><h2>Clouds not used</h2>{_html_table(rows)}{tail}</section>'
+    return f'<section><h2>Clouds not used</h2>{html_table(rows)}{tail}</section>'
 
 
 def notices(log: ReplayLog, scores: Scores) -> str:
-    """What a reader must know first: an early end, clouds lost, a missing score."""
+    """What a reader must know first: remarks on the clouds, a doubtful or missing score."""
     texts = [f'Note: {note}.' for note in log.notes]
-    if log.interrupted:
-        texts.append(f'This run ended early: {log.interrupted}.')
-    if log.drops:
-        texts.append(f'{len(log.drops)} clouds were not used; they are listed below.')
     if scores.warning:
         texts.append(f'{scores.warning}.')
     if scores.note:
@@ -138,21 +144,27 @@ def notices(log: ReplayLog, scores: Scores) -> str:
 
 
 def tiles(log: ReplayLog, scores: Scores) -> str:
-    """The few figures that count, as list items."""
+    """The few figures that count, as list items; those that are not known are left out."""
     items = [('frames', str(len(log.frames)))]
     if scores.trajectory is not None:
         t = scores.trajectory
         items += [
-            ('ATE (m)', _number(t.ate_rmse_m, 4)),
-            ('mean step error (mm)', _number(t.step_mean_mm, 1)),
-            ('path (m)', _number(t.path_m, 2)),
+            ('ATE (mm)', number(1000.0 * t.ate_rmse_m, 1)),
+            ('mean step error (mm)', number(t.step_mean_mm, 1)),
+            ('path (m)', number(t.path_m, 2)),
         ]
+    else:
+        items.append(('path (m)', number(log.trajectory().path_m, 2)))
     if scores.mask is not None:
-        items.append(('IoU of the moving class', _number(scores.mask.iou, 3)))
+        items.append(('IoU of the moving class', number(scores.mask.iou, 3)))
     total = stage_times(log.frames).get('total')
     if total is not None:
-        items.append(('median ms per frame', _number(total['median'], 1)))
-    return ''.join(f'<li><strong>{value}</strong>{escape(name)}</li>' for name, value in items)
+        items.append(('median ms per frame', number(total['median'], 1)))
+    return ''.join(
+        f'<li><strong>{value}</strong>{escape(name)}</li>'
+        for name, value in items
+        if value != MISSING
+    )
 
 
 def provenance(metrics: Mapping[str, Any]) -> str:

@@ -12,7 +12,7 @@ from hybridreg_ros.model.budget import Budget
 from hybridreg_ros.model.config import ModelConfig
 from hybridreg_ros.model.register import HybridReg
 from hybridreg_ros.odometry.keyframes import Keyframe
-from hybridreg_ros.odometry.network_branch import LearnedBranch
+from hybridreg_ros.odometry.network_branch import LearnedBranch, load
 
 BUDGET = Budget(800, 64)
 
@@ -25,9 +25,15 @@ def walls(rng: np.random.Generator) -> np.ndarray:
     return np.concatenate([floor, wall]).astype(np.float32)
 
 
+def branch_of(model: object) -> LearnedBranch:
+    registrar = load(model)
+    assert registrar is not None
+    return LearnedBranch(registrar, memory=2)
+
+
 @pytest.fixture
 def branch() -> LearnedBranch:
-    return LearnedBranch(HybridReg.from_pretrained(), memory=2)
+    return branch_of('auto')
 
 
 def test_a_thing_that_came_is_not_static(branch: LearnedBranch) -> None:
@@ -55,7 +61,7 @@ def test_no_answer_where_nothing_is_kept_or_known(branch: LearnedBranch) -> None
     assert branch.point_mask(scan, keyframe, np.eye(4)) is None
     branch.adopt(keyframe, branch.encode(room, Budget(400, 64)))
     assert branch.point_mask(scan, keyframe, np.eye(4)) is None  # another budget
-    without = LearnedBranch(HybridReg(ModelConfig()), memory=2)
+    without = branch_of(HybridReg(ModelConfig()))
     scan = without.encode(room, BUDGET)
     assert scan is not None
     without.adopt(keyframe, scan)

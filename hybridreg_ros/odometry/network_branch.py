@@ -192,13 +192,13 @@ class LearnedBranch:
             P(static) and P(seen by the keyframe) per point given to `encode`; None where the
             keyframe is not kept at this budget, or the registrar has no such answer.
         """
-        known = self._keyframes.get(keyframe.number)
+        known = self._keyframes.get((keyframe.number, scan.budget))
         ask = getattr(self._of(scan.budget), 'point_mask', None)
-        if ask is None or known is None or known.budget != scan.budget:
+        if ask is None or known is None:
             return None
         T_keyframe_scan = se3.inverse(keyframe.T_odom_keyframe) @ T_odom_sensor
         try:
-            return cast('PointMask', ask(scan.encoding, known.encoding, T_keyframe_scan))
+            return cast('PointMask', ask(scan.encoding, known, T_keyframe_scan))
         except WeightsError:
             return None
 

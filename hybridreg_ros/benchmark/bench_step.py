@@ -16,7 +16,7 @@ from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.preprocess import recognise_sensor
 from hybridreg_ros.odometry.registration.kiss import PlainKissIcp
 from hybridreg_ros.odometry.result import Source
-from hybridreg_ros.replay.report_tables import text_table
+from hybridreg_ros.replay.page.tables import text_table
 
 if TYPE_CHECKING:
     import argparse

@@ -88,6 +88,9 @@ class ModelConfig:
         choices=('confidence_product', 'variance_product'),
     )
     mask_exponent: float = option(0.5, 'exponent of that weight', low=0.0, high=4.0)
+    static_width: int = option(
+        0, 'width of the head that gives P(static) per point under a pose; 0 = none', low=0
+    )
     # superpoint and point matching
     top_pairs: int = option(64, 'number of superpoint pairs kept', low=1, high=1024)
     pair_temperature: float = option(

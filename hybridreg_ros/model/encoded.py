@@ -5,9 +5,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
+from hybridreg_ros.model.geometry.sight import Sight
+
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from hybridreg_ros.model.geometry.views import View
     from hybridreg_ros.model.network.network import Encoding
 
@@ -19,14 +25,19 @@ class EncodedCloud:
     Attributes:
         encoding: what the network keeps of it.
         view: what verification and refinement keep of it.
-        size: number of input points, NaN rows included.
+        points: (N, 3) float32 input points, metres, NaN rows included.
         encode_s: seconds it took.
     """
 
     encoding: Encoding
     view: View
-    size: int
+    points: NDArray[np.float32]
     encode_s: float
+
+    @cached_property
+    def sight(self) -> Sight:
+        """What its sensor saw in every direction, found when it is first asked for."""
+        return Sight.of(self.points)
 
     @property
     def voxel_size_m(self) -> float:

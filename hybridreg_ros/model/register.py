@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.core.errors import RegistrationError
+from hybridreg_ros.core.errors import RegistrationError, WeightsError
 from hybridreg_ros.model.budget import Budget
 from hybridreg_ros.model.budget import voxel_size_m as chosen_voxel_m
 from hybridreg_ros.model.checkpoint import load_checkpoint, packaged_weights
@@ -40,6 +40,7 @@ from hybridreg_ros.model.retry import (
     rotated,
     rotated_back,
 )
+from hybridreg_ros.model.static_points import PointMask, point_mask
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -133,7 +134,7 @@ class HybridReg:
         """One cloud by itself; `start` is when it was begun."""
         pyramid = build_pyramid(cloud, voxel_size_m, self.config)
         encoding, view = self._encoding(pyramid), view_of(pyramid)
-        return EncodedCloud(encoding, view, len(cloud), time.perf_counter() - start)
+        return EncodedCloud(encoding, view, cloud, time.perf_counter() - start)
 
     def _encoding(self, pyramid: Pyramid) -> Encoding:
         return dataclasses.replace(forward.encode(self.net, pyramid), pyramid=pyramid.encoded)
@@ -149,7 +150,7 @@ class HybridReg:
             first = self._encoded(small, voxel_size_m, start)
             view = view_of(pyramid.result())
             known = encoding.result()
-        return first, EncodedCloud(known, view, len(large), time.perf_counter() - start)
+        return first, EncodedCloud(known, view, large, time.perf_counter() - start)
 
     def _voxel_m(self, *clouds: NDArray[np.float32], budget: Budget | None = None) -> float:
         """Finest voxel for clouds that nobody gave one for, metres."""
@@ -181,7 +182,38 @@ class HybridReg:
         if budget is not None and voxel_size_m is None:
             voxel = self._voxel_m(*clouds, budget=budget)
         first, encoded = self._attempt(*clouds, voxel)
-        return self.retry(first, encoded, *clouds, finer_m=full if full < voxel else None)
+        best = self.retry(first, encoded, *clouds, finer_m=full if full < voxel else None)
+        if self.net.static is None:
+            return best
+        source_mask = self.point_mask(*encoded, best.T_target_source)
+        target_mask = self.point_mask(*encoded[::-1], se3.inverse(best.T_target_source))
+        return dataclasses.replace(
+            best,
+            source_static_probability=source_mask.static,
+            target_static_probability=target_mask.static,
+        )
+
+    def point_mask(
+        self, source: EncodedCloud, target: EncodedCloud, T_target_source: F64
+    ) -> PointMask:
+        """Which points of the source are static, once its pose is known.
+
+        Args:
+            source: encoded cloud of N input points.
+            target: encoded cloud, in the same voxel size; whether they were matched or not.
+            T_target_source: (4, 4), metres.
+
+        Returns:
+            P(static) and P(seen by the target's sensor) of the points.
+
+        Raises:
+            RegistrationError: they were encoded with different voxel sizes.
+            WeightsError: these weights have no static head.
+        """
+        if self.net.static is None:
+            raise WeightsError('these weights have no static head: use the packaged ones')
+        self.net.check_voxels(source.encoding, target.encoding)
+        return point_mask(self.net, source, target, np.asarray(T_target_source, np.float64))
 
     def retry(
         self,
@@ -374,3 +406,14 @@ class SensorSequence:
             RegistrationError: they were encoded with different voxel sizes.
         """
         return self._model.match(source, target)
+
+    def point_mask(
+        self, source: EncodedCloud, target: EncodedCloud, T_target_source: F64
+    ) -> PointMask:
+        """`HybridReg.point_mask`.
+
+        Raises:
+            RegistrationError: they were encoded with different voxel sizes.
+            WeightsError: the weights have no static head.
+        """
+        return self._model.point_mask(source, target, T_target_source)

@@ -54,6 +54,10 @@ class RegistrationResult:
         features: what the confidence was computed from.
         timings_s: seconds per stage: encode, network, verify, refine, total; of all attempts.
         attempts: number of registrations, each done another way, that this is the best of.
+        source_static_probability: (N,) float32 P(static) of every input point under the pose; 0.5
+            for NaN. None of a result of `match`, whose caller may know a better pose
+            (`HybridReg.point_mask`), and of weights without a static head.
+        target_static_probability: (M,) float32, likewise.
     """
 
     T_target_source: NDArray[np.float64]
@@ -67,6 +71,8 @@ class RegistrationResult:
     features: ConfidenceFeatures
     timings_s: Mapping[str, float] = field(default_factory=dict)
     attempts: int = 1
+    source_static_probability: NDArray[np.float32] | None = None
+    target_static_probability: NDArray[np.float32] | None = None
 
     @property
     def T_keyframe_scan(self) -> NDArray[np.float64]:

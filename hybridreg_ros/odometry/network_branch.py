@@ -8,6 +8,7 @@ import logging
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, cast
 
+from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import ConfigError, RegistrationError, WeightsError
 from hybridreg_ros.model.budget import Budget  # noqa: TC001 (a field of a NamedTuple)
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from hybridreg_ros.model.static_points import PointMask
     from hybridreg_ros.odometry.keyframes import Keyframe
 
 
@@ -175,6 +177,30 @@ class LearnedBranch:
             match.uncertainty,
             keyframe,
         )
+
+    def point_mask(
+        self, scan: Encoded, keyframe: Keyframe, T_odom_sensor: NDArray[np.float64]
+    ) -> PointMask | None:
+        """Which points of a scan are static, by what a keyframe saw; nothing is encoded for it.
+
+        Args:
+            scan: by `encode`.
+            keyframe: need not be the one that the scan was matched with.
+            T_odom_sensor: (4, 4) pose of the scan.
+
+        Returns:
+            P(static) and P(seen by the keyframe) per point given to `encode`; None where the
+            keyframe is not kept at this budget, or the registrar has no such answer.
+        """
+        known = self._keyframes.get((keyframe.number, scan.budget))
+        ask = getattr(self._of(scan.budget), 'point_mask', None)
+        if ask is None or known is None:
+            return None
+        T_keyframe_scan = se3.inverse(keyframe.T_odom_keyframe) @ T_odom_sensor
+        try:
+            return cast('PointMask', ask(scan.encoding, known, T_keyframe_scan))
+        except WeightsError:
+            return None
 
 
 @dataclass(frozen=True, eq=False)

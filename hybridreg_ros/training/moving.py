@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 
+from hybridreg_ros.core import se3
 from hybridreg_ros.data.pair import Label
 from hybridreg_ros.metrics import registration
 from hybridreg_ros.model.budget import voxel_size_m
 from hybridreg_ros.model.geometry.upsampling import upsample_to_level0, values_of_inputs
-from hybridreg_ros.training.validation import overlap_points, threshold_m
+from hybridreg_ros.training.validation import MATCH_VOXELS, overlap_points, threshold_m
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.data.loaders.labelled import LabelledPair
+    from hybridreg_ros.data.pair import PointPair
     from hybridreg_ros.model.budget import Budget
     from hybridreg_ros.model.encoded import EncodedCloud
     from hybridreg_ros.model.register import HybridReg
@@ -71,12 +74,25 @@ def best_iou(positive: I64, negative: I64) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Tally:
-    """Histograms of an uncertainty over points that are static, moving, and moving people."""
+    """Histograms of an uncertainty over points: static, moving, moving people, static and seen."""
 
-    counts: I64 = field(default_factory=lambda: np.zeros((3, _BINS), np.int64))
+    counts: I64 = field(default_factory=lambda: np.zeros((4, _BINS), np.int64))
 
-    def add(self, uncertainty: F32, points: F32, label: NDArray[np.uint8]) -> None:
-        """Count points (N, 3) in the sensor frame, metres; label: (N,) of `Label`."""
+    def add(
+        self,
+        uncertainty: F32,
+        points: F32,
+        label: NDArray[np.uint8],
+        seen: NDArray[np.bool_],
+    ) -> None:
+        """Count points (N, 3).
+
+        Args:
+            uncertainty: (N,) in [0, 1].
+            points: (N, 3) sensor frame, metres.
+            label: (N,) of `Label`.
+            seen: (N,) whether the other cloud has the place of a static point.
+        """
         bins = np.minimum((_BINS * np.clip(uncertainty, 0.0, 1.0)).astype(np.int64), _BINS - 1)
         away = np.linalg.norm(points, axis=1)
         inside = (away >= RANGE_M[0]) & (away <= RANGE_M[1])
@@ -86,6 +102,7 @@ class Tally:
                 inside & (label == Label.STATIC),
                 inside & (label != Label.STATIC),
                 near & (label == Label.DEFORMING),
+                inside & (label == Label.STATIC) & seen,
             )
         ):
             self.counts[row] += np.bincount(bins[chosen], minlength=_BINS)
@@ -94,6 +111,11 @@ class Tally:
     def auc(self) -> float:
         """Of moving against static points."""
         return histogram_auc(self.counts[1], self.counts[0])
+
+    @property
+    def seen_auc(self) -> float:
+        """Of moving points against static ones that the other cloud sees."""
+        return histogram_auc(self.counts[1], self.counts[3])
 
     @property
     def people_auc(self) -> float:
@@ -106,40 +128,45 @@ class Tally:
         return best_iou(self.counts[1], self.counts[0])
 
 
+KINDS = ('network', 'result', 'static')
+"""What is scored: the mask of the network alone, spread over the points; the uncertainty that
+`register()` returns, corrected by the pose; and 1 - P(static) of the static head."""
+
+
 @dataclass(eq=False)
 class MovingScore:
     """What one folder of labelled pairs gives.
 
     Attributes:
         name: of the folder.
-        network: the mask of the network alone, spread over the points.
-        result: the uncertainty that `register()` returns, corrected by the pose.
+        tallies: one of each of `KINDS`.
         pairs: scored.
         right: of these, registered.
     """
 
     name: str
-    network: Tally = field(default_factory=Tally)
-    result: Tally = field(default_factory=Tally)
+    tallies: dict[str, Tally] = field(default_factory=lambda: {kind: Tally() for kind in KINDS})
     pairs: int = 0
     right: int = 0
 
     def row(self) -> dict[str, Any]:
-        """Numbers for the table and for JSON."""
-        static, moving, people = self.network.counts.sum(axis=1).tolist()
-        return {
+        """Numbers for the table and for JSON; NaN for what the weights do not have."""
+        static, moving, people, _ = self.tallies['network'].counts.sum(axis=1).tolist()
+        row = {
             'data': self.name,
             'pairs': self.pairs,
             'RR': self.right / self.pairs if self.pairs else float('nan'),
             'moving_share': moving / max(static + moving, 1),
-            'AUC_network': self.network.auc,
-            'AUC_result': self.result.auc,
-            'IoU_network': self.network.iou,
-            'IoU_result': self.result.iou,
             'people_points': people,
-            'people_AUC_network': self.network.people_auc,
-            'people_AUC_result': self.result.people_auc,
         }
+        for kind, tally in self.tallies.items():
+            row |= {
+                f'AUC_{kind}': tally.auc,
+                f'seen_AUC_{kind}': tally.seen_auc,
+                f'IoU_{kind}': tally.iou,
+                f'people_AUC_{kind}': tally.people_auc,
+            }
+        return row
 
 
 def score_moving(
@@ -164,28 +191,42 @@ def score_moving(
         )
         source, target = (model.encode(c, voxel_m) for c in (pair.source, pair.target))
         result = model.match(source, target)
-        own, other = _network_uncertainty(model, source, target)
-        for cloud, label, known, network, final in (
+        said = {
+            'network': _network_uncertainty(model, source, target),
+            'result': (result.source_uncertainty, result.target_uncertainty),
+        }
+        if model.net.static is not None:
+            own = model.point_mask(source, target, result.T_target_source)
+            other = model.point_mask(target, source, se3.inverse(result.T_target_source))
+            said['static'] = (1.0 - own.static, 1.0 - other.static)
+        seen = _seen(pair)
+        for side, (cloud, label, known) in enumerate(
             (
-                pair.source,
-                pair.source_label,
-                labelled.source_known,
-                own,
-                result.source_uncertainty,
-            ),
-            (
-                pair.target,
-                pair.target_label,
-                labelled.target_known,
-                other,
-                result.target_uncertainty,
-            ),
+                (pair.source, pair.source_label, labelled.source_known),
+                (pair.target, pair.target_label, labelled.target_known),
+            )
         ):
-            score.network.add(network[known], cloud[known], label[known])
-            score.result.add(final[known], cloud[known], label[known])
+            for kind, both in said.items():
+                score.tallies[kind].add(
+                    both[side][known], cloud[known], label[known], seen[side][known]
+                )
         score.pairs += 1
         score.right += _right(labelled, result)
     return score
+
+
+def _seen(pair: PointPair) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Whether there is a static point of the other cloud at each point, (N,) and (M,)."""
+    moved = se3.apply(pair.T_target_source, pair.source)
+    own, other = pair.source_label == Label.STATIC, pair.target_label == Label.STATIC
+    radius = MATCH_VOXELS * pair.voxel_size_m
+    found = []
+    for points, others in ((moved, pair.target[other]), (pair.target, moved[own])):
+        distance, _ = cKDTree(others, balanced_tree=False).query(
+            points, distance_upper_bound=radius
+        )
+        found.append(np.isfinite(distance))
+    return found[0], found[1]
 
 
 def _network_uncertainty(
@@ -212,21 +253,22 @@ def _right(labelled: LabelledPair, result: RegistrationResult) -> bool:
 
 
 def to_markdown(scores: Iterable[MovingScore]) -> str:
-    """Table of some folders, AUC and IoU as network / result of `register()`."""
+    """Table of some folders: AUC and IoU as network / result of `register()` / P(static)."""
     lines = [
-        '| data | pairs | RR % | moving % | AUC, network / result | best IoU | '
-        'people 5 to 25 m: AUC |',
-        '|---|---|---|---|---|---|---|',
+        '| data | pairs | RR % | moving % | AUC, network / result / P(static) | '
+        'against what is seen | best IoU | people 5 to 25 m: AUC |',
+        '|---|---|---|---|---|---|---|---|',
     ]
     for score in scores:
         r = score.row()
+        cells = (_each(r, key) for key in ('AUC', 'seen_AUC', 'IoU', 'people_AUC'))
         lines.append(
             f'| {r["data"]} | {r["pairs"]} | {100 * r["RR"]:.1f} | {100 * r["moving_share"]:.2f} '
-            f'| {_both(r, "AUC")} | {_both(r, "IoU")} | {_both(r, "people_AUC")} |'
+            f'| {" | ".join(cells)} |'
         )
     return '\n'.join(lines) + '\n'
 
 
-def _both(row: dict[str, Any], key: str) -> str:
-    values = [row[f'{key}_{kind}'] for kind in ('network', 'result')]
+def _each(row: dict[str, Any], key: str) -> str:
+    values = [row[f'{key}_{kind}'] for kind in KINDS]
     return ' / '.join('-' if np.isnan(v) else f'{v:.3f}' for v in values)

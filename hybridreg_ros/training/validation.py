@@ -155,8 +155,13 @@ def pair_score(model: HybridReg, held: HeldOut, device: str = 'cpu') -> PairScor
     began = time.perf_counter()
     with torch.inference_mode():
         source, target = (
-            EncodedCloud(model.net.encode(to_device(pyramid, device)), view, 0, 0.0)
-            for pyramid, view in zip((sample.source, sample.target), held.views, strict=True)
+            EncodedCloud(model.net.encode(to_device(pyramid, device)), view, points, 0.0)
+            for pyramid, view, points in zip(
+                (sample.source, sample.target),
+                held.views,
+                (sample.pair.source, sample.pair.target),
+                strict=True,
+            )
         )
     first = model.match(source, target)
     full_m = model.config.voxel_factor * sample.pair.voxel_size_m

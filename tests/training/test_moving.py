@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -41,12 +42,17 @@ def test_points_count_by_label_and_distance():
     away = np.array([0.5, 3.0, 10.0, 40.0, 60.0], np.float32)
     points = np.stack([away, np.zeros(5), np.zeros(5)], axis=1).astype(np.float32)
     for label, expected in (
-        (Label.STATIC, [3, 0, 0]),
-        (Label.MOVING_RIGID, [0, 3, 0]),
-        (Label.DEFORMING, [0, 3, 1]),
+        (Label.STATIC, [3, 0, 0, 2]),
+        (Label.MOVING_RIGID, [0, 3, 0, 0]),
+        (Label.DEFORMING, [0, 3, 1, 0]),
     ):
         tally = Tally()
-        tally.add(np.linspace(0.0, 1.0, 5, dtype=np.float32), points, np.full(5, label, np.uint8))
+        tally.add(
+            np.linspace(0.0, 1.0, 5, dtype=np.float32),
+            points,
+            np.full(5, label, np.uint8),
+            np.array([True, True, False, True, True]),
+        )
         assert tally.counts.sum(axis=1).tolist() == expected
 
 
@@ -60,12 +66,15 @@ def generated(tmp_path):
 
 def test_a_folder_gives_one_row(generated):
     source = open_labelled(generated, 0.5)
-    model = HybridReg(TINY, HybridRegNet(TINY))
+    config = dataclasses.replace(TINY, static_width=8)
+    model = HybridReg(config, HybridRegNet(config))
     row = score_moving(model, map(source.labelled, range(3)), 'boxes').row()
     assert row['data'] == 'boxes'
     assert row['pairs'] == 3
     assert row['moving_share'] == pytest.approx(150 / 1050, abs=0.02)
-    assert 0.0 <= row['AUC_network'] <= 1.0
+    for kind in ('network', 'static'):  # not trained
+        assert 0.0 <= row[f'AUC_{kind}'] <= 1.0
+    assert row['seen_AUC_result'] == row['AUC_result']  # all that stands is seen twice
     assert row['AUC_result'] > 0.5  # the pose of these clouds is found without a trained network
     assert row['RR'] == 1.0
 
@@ -92,6 +101,7 @@ def test_the_command_prints_the_table(generated, tiny_weights, tmp_path, capsys)
     assert code == 0
     table = capsys.readouterr().out
     assert '| boxes | 2 |' in table
+    assert ' / - |' in table  # these weights have no static head
     assert (tmp_path / 'table.md').read_text(encoding='utf-8') == table
     found = json.loads(out.read_text(encoding='utf-8'))
     assert found['rows'][0]['pairs'] == 2

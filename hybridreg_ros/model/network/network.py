@@ -22,6 +22,7 @@ from hybridreg_ros.model.network.estimators import (
     estimate_pose,
     mutual_matches,
 )
+from hybridreg_ros.model.network.static_head import StaticHead
 from hybridreg_ros.model.network.superpoints import SuperpointPairs, select_pairs
 from hybridreg_ros.model.network.transport import Transport
 from hybridreg_ros.model.network.uncertainty import MaskHead, sigma2_of, static_of
@@ -144,6 +145,7 @@ class HybridRegNet(nn.Module):
         self.mask = MaskHead(config)
         self.transport = Transport(config.sinkhorn_iterations)
         self.norm_groups = {m.groups for m in self.modules() if isinstance(m, Norm)}
+        self.static = StaticHead(config) if config.static_width else None
 
     def encode(self, pyramid: Pyramid) -> Encoding:
         """Backbone, projection and first self-attention of one cloud."""

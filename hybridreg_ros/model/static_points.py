@@ -1,0 +1,125 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""P(static) of every input point under a pose: what the static head reads, and what it says."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import torch
+from torch.nn import functional
+
+from hybridreg_ros.core.jit import compiled_fast
+from hybridreg_ros.model.geometry.sight import looks
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hybridreg_ros.model.encoded import EncodedCloud
+    from hybridreg_ros.model.geometry.pyramid import Pyramid
+    from hybridreg_ros.model.network.network import HybridRegNet
+
+    F32 = NDArray[np.float32]
+    F64 = NDArray[np.float64]
+    I32 = NDArray[np.int32]
+    I64 = NDArray[np.int64]
+
+UNKNOWN = 0.5
+"""Both probabilities of a row that holds NaN or inf."""
+
+
+class PointMask(NamedTuple):
+    """Of every input point of a cloud, under a pose; the two stay apart.
+
+    Attributes:
+        static: (N,) float32 P(static). Where the other cloud did not look it is by what the point
+            looks like and what is around it, and uncertain; 0.5 for a row with NaN or inf.
+        seen: (N,) float32 P(the other sensor saw the place of the point).
+    """
+
+    static: F32
+    seen: F32
+
+
+class HeadInput(NamedTuple):
+    """What the static head reads of one cloud (`StaticHead.forward`).
+
+    Attributes:
+        rows: (K,) int64 finite input points, which all that follows is about.
+        looks: (K, COUNT + 2) float32.
+        fine: (F, fine_dim) float32 unit features.
+        owners: int64, the finest voxel of every point, then of every voxel the one above it.
+    """
+
+    rows: I64
+    looks: F32
+    fine: F32
+    owners: tuple[I64, ...]
+
+
+def head_input(source: EncodedCloud, target: EncodedCloud, T_target_source: F64) -> HeadInput:
+    """What the head reads of the source.
+
+    Args:
+        source: encoded cloud.
+        target: encoded cloud, same voxel size.
+        T_target_source: (4, 4), metres.
+    """
+    pyramid = source.encoding.pyramid
+    seen, nearest = looks(source.sight, target.sight, T_target_source)
+    fine, others = (
+        functional.normalize(c.encoding.fine_features, dim=1).cpu().numpy()
+        for c in (source, target)
+    )
+    owners = _owners(pyramid)
+    holder, other = _fine_points(pyramid), _fine_points(target.encoding.pyramid)
+    rows = np.flatnonzero(pyramid.input_to_level0 >= 0)
+    alike = _likeness(fine, holder, others, other, nearest)
+    voxel = np.full(len(rows), np.log(pyramid.voxel_size_m), np.float32)
+    columns = np.column_stack([seen[rows], voxel, alike[rows]])
+    return HeadInput(rows, columns, fine, (owners[0][rows], *owners[1:]))
+
+
+def _owners(pyramid: Pyramid) -> list[I64]:
+    """The finest voxel of every input point (-1: none), then of every voxel the one above it."""
+    above = [v.up_index.cpu().numpy() for v in pyramid.levels if v.up_index is not None]
+    return [pyramid.input_to_level0.astype(np.int64), *above]
+
+
+def _fine_points(pyramid: Pyramid) -> I64:
+    """The fine point (N,) of every input point; -1 where there is none."""
+    holder, *others = _owners(pyramid)
+    for above in others[: pyramid.fine_level]:
+        holder = np.where(holder >= 0, above[holder], -1)
+    return holder
+
+
+@compiled_fast
+def _likeness(fine: F32, holder: I64, others: F32, other: I64, nearest: I32) -> F32:
+    """Dot product (N,) of the features of every point and its nearest one; 0 where none is."""
+    out = np.zeros(len(holder), np.float32)
+    for i in range(len(holder)):
+        if holder[i] < 0 or nearest[i] < 0 or other[nearest[i]] < 0:
+            continue
+        a, b = fine[holder[i]], others[other[nearest[i]]]
+        total = np.float32(0.0)
+        for c in range(len(a)):
+            total += a[c] * b[c]
+        out[i] = total
+    return out
+
+
+@torch.no_grad()
+def point_mask(
+    net: HybridRegNet, source: EncodedCloud, target: EncodedCloud, T_target_source: F64
+) -> PointMask:
+    """What the static head of a network says of the source (`head_input`)."""
+    assert net.static is not None
+    found, device = head_input(source, target, T_target_source), next(net.parameters()).device
+    looks_, fine, *owners = (
+        torch.from_numpy(a).to(device) for a in (found.looks, found.fine, *found.owners)
+    )
+    out = np.full((2, len(source.points)), UNKNOWN, np.float32)
+    out[:, found.rows] = torch.sigmoid(net.static(looks_, fine, owners)).cpu().numpy().T
+    return PointMask(*out)

@@ -508,6 +508,23 @@ def _bench(commands: Commands) -> None:
         metavar='N',
         help='with --data: number of pairs per split (default 24)',
     )
+    p.add_argument(
+        '--step',
+        nargs='*',
+        metavar='RECORDING',
+        help='measure steps of the front end on recordings of the suite, kiss-icp beside '
+        '(default: an HDL-64 and a depth camera)',
+    )
+    p.add_argument(
+        '--recordings',
+        type=Path,
+        default=Path('../shared/data'),
+        metavar='DIR',
+        help='with --step: folder of the recordings (default ../shared/data)',
+    )
+    p.add_argument(
+        '--scans', type=COUNT, metavar='N', help='with --step: maximum number of scans of each'
+    )
     _weights(p)
 
 

@@ -35,6 +35,10 @@ def run(args: argparse.Namespace) -> int:
         from hybridreg_ros.benchmark import bench_data
 
         return told(args, *bench_data.run(args))
+    if args.step is not None:
+        from hybridreg_ros.benchmark import bench_step
+
+        return told(args, *bench_step.run(args))
     import torch
 
     source, target = _clouds(args)

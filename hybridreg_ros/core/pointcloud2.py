@@ -14,7 +14,7 @@ import numpy as np
 
 from hybridreg_ros.core.errors import PointCloudError
 from hybridreg_ros.core.point_times import AUTO, SECONDS_OF, time_fields, to_seconds
-from hybridreg_ros.core.scan import NO_RETURN_M, NS_PER_S, Scan, farther, units_note
+from hybridreg_ros.core.scan import NO_RETURN_M, NS_PER_S, Scan, taken, units_note
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -104,8 +104,9 @@ def to_scan(
     with np.errstate(over='ignore', invalid='ignore'):
         for column, axis in enumerate(axes):
             xyz[:, column] = _column(table, axis)
-    finite = np.isfinite(xyz).all(axis=1)
-    seen = finite & farther(xyz, NO_RETURN_M)
+        squared = np.einsum('ij,ij->i', xyz, xyz)
+    finite = np.isfinite(squared)
+    seen = finite & (squared >= NO_RETURN_M**2)
     rows = np.flatnonzero(seen)
     stamp = int(msg.header.stamp.sec) * NS_PER_S + int(msg.header.stamp.nanosec)
     found_times = _Times(None, rows, 'none: the cloud is empty', ())
@@ -114,7 +115,7 @@ def to_scan(
     elif len(rows):
         found_times = _times(table, rows, stamp, (time_unit, scan_period_s, time_field))
     rows = found_times.rows
-    points = xyz if len(rows) == len(xyz) else xyz[rows]
+    points = xyz if len(rows) == len(xyz) else taken(xyz, rows)
     unit_note = units_note(points)
     return Scan(
         points=points,
@@ -274,26 +275,33 @@ def with_field(
     old = next((f for f in fields if f.name == name), None)
     if old is not None and (old.datatype != 7 or old.count > 1):
         raise PointCloudError(f'field {name} exists with datatype {old.datatype}, expected 7')
-    picked = _rows(msg)[scan.rows[keep]]
     step = int(msg.point_step)
     offset = old.offset if old is not None else -(-step // 4) * 4
     new_step = step if old is not None else offset + 4
-    data = np.zeros((len(picked), new_step), dtype=np.uint8)
-    data[:, :step] = picked
     order = '>' if msg.is_bigendian else '<'
-    added = np.ascontiguousarray(values[keep], dtype=f'{order}f4')
-    data[:, offset : offset + 4] = added.view(np.uint8).reshape(-1, 4)
+    # Whole points as single values: four times as fast as rows of bytes.
+    points = _rows(msg).view(f'V{step}').reshape(-1).take(scan.rows[keep])
+    data = np.zeros(len(points), _record(0, f'V{step}', new_step))
+    data['it'] = points
+    data.view(_record(offset, f'{order}f4', new_step))['it'] = values[keep]
     if old is None:
         fields = (*fields, Field(name, offset, 7, 1))
     return CloudData(
         height=1,
-        width=len(picked),
+        width=len(data),
         fields=fields,
         is_bigendian=bool(msg.is_bigendian),
         point_step=new_step,
-        row_step=new_step * len(picked),
-        data=data.reshape(-1),
+        row_step=new_step * len(data),
+        data=data.view(np.uint8).reshape(-1),
         is_dense=True,
+    )
+
+
+def _record(offset: int, kind: str, itemsize: int) -> np.dtype[np.void]:
+    """Records of so many bytes of which one part is of interest, called 'it'."""
+    return np.dtype(
+        {'names': ['it'], 'formats': [kind], 'offsets': [offset], 'itemsize': itemsize}
     )
 
 

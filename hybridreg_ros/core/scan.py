@@ -132,25 +132,25 @@ class Scan:
 
     def beyond(self, range_m: float) -> Scan:
         """The scan without points nearer than a range (metres), in every field; `near` grows."""
-        keep = farther(self.points, range_m)
+        with np.errstate(over='ignore'):
+            keep = np.einsum('ij,ij->i', self.points, self.points) >= range_m**2
         near = len(self) - int(np.count_nonzero(keep))
         if not near:
             return self
-        times = None if self.times is None else self.times[keep]
+        rows = np.flatnonzero(keep)
         return replace(
             self,
-            points=self.points[keep],
-            times=times,
-            rows=self.rows[keep],
+            points=taken(self.points, rows),
+            times=None if self.times is None else self.times[rows],
+            rows=self.rows[rows],
             near=self.near + near,
         )
 
 
-def farther(points: NDArray[np.float32], range_m: float) -> NDArray[np.bool_]:
-    """Which points (N, 3) are not nearer to the sensor than a range, metres; none with NaN."""
-    with np.errstate(over='ignore', invalid='ignore'):
-        inside: NDArray[np.bool_] = np.einsum('ij,ij->i', points, points) >= range_m**2
-    return inside
+def taken(points: NDArray[np.float32], rows: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Some rows (R,) of points (N, 3): `points[rows]` in half the time."""
+    whole = np.ascontiguousarray(points).view('V12').reshape(-1)
+    return whole.take(rows).view(np.float32).reshape(-1, 3)
 
 
 def units_note(points: NDArray[np.floating]) -> str:

@@ -77,11 +77,12 @@ class LostConfig(Section):
     after_bad_frames: int = option(
         3, 'number of consecutive bad frames after which the pose counts as lost', low=1, high=100
     )
-    reanchor_after: int = option(
-        10,
-        'number of consecutive lost scans after which a new map is started at the last pose',
-        low=1,
-        high=10_000,
+    reanchor_after_s: float = option(
+        10.0,
+        'time for which the pose is looked for in the old map before a new one is started at the '
+        'last pose, seconds',
+        low=0.0,
+        high=1e6,
     )
     keyframes_tried: int = option(
         5, 'number of keyframes tried per scan while lost, nearest first', low=1, high=100
@@ -226,8 +227,9 @@ class InputConfig(Section):
         high=100_000,
     )
     max_gap_s: float = option(
-        5.0,
-        'a stamp that follows the last one later than this is a jump, seconds',
+        60.0,
+        'a stamp that follows the last one later than this is taken for an error of the clock '
+        'rather than for a pause, seconds',
         low=0.1,
         high=3600.0,
     )
@@ -275,19 +277,6 @@ class PreprocessConfig(Section):
     )
     icp_thinning: float = option(
         1.5, 'edge length of the thinning cubes for registration, in voxels', low=0.5, high=8.0
-    )
-    icp_enough: int = option(
-        0,
-        'minimum number of points to register: if the cubes would leave fewer, they are made '
-        'smaller, down to those of the map; 0 = by sensor (depth 4500, lidar 2500)',
-        low=0,
-        high=100_000,
-    )
-    icp_points: int = option(
-        5000,
-        'maximum number of points to register; larger sets are thinned by taking every k-th point',
-        low=200,
-        high=100_000,
     )
 
 

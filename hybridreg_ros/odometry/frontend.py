@@ -117,8 +117,9 @@ class HybridOdometry:
     def locate(self, scan: Scan, behind: bool = False) -> tuple[OdometryResult, Rest]:
         """Take one scan, in two parts: its pose at once, mask, map and keyframes afterwards.
 
-        A scan is preprocessed and encoded while the rest of the scan before is still being made
-        in another thread; its pose is looked for after that. So the results are those of `step`.
+        A scan is preprocessed, encoded and matched with a keyframe while the rest of the scan
+        before is still being made in another thread; its pose is looked for after that. So the
+        results are those of `step`.
 
         Args:
             scan: the scan.
@@ -141,12 +142,14 @@ class HybridOdometry:
             nothing = self._without_map(scan, watch)
             return nothing, Rest(lambda: nothing)
         effort = self._load.effort(behind)
-        encoded = self._tracker.encode(cloud, effort.budget)
+        stamp = scan.stamp + round(cloud.instant_s * NS_PER_S)
+        encoded = self._tracker.encode(cloud, effort.budgets[0])
         watch.lap('encode')
+        proposal = self._tracker.propose(cloud, encoded, stamp)
+        watch.lap('match')
         self._finish()
         watch.resume()
-        stamp = scan.stamp + round(cloud.instant_s * NS_PER_S)
-        estimate = self._tracker.step(cloud, encoded, stamp, effort, watch)
+        estimate = self._tracker.step(cloud, encoded, proposal, stamp, effort, watch)
         result = self._result(scan, cloud, estimate, fault, watch)
         result = replace(result, load=effort.level)
         self._rest = Rest(partial(self._completed, result, estimate.update, watch))

@@ -15,25 +15,29 @@ class Effort:
 
     Attributes:
         level: 0 = all of it.
-        budget: of points for the network.
+        budgets: of points for the network: the first, and the next where that is not sure.
         update_every: mask, map and keyframes are made of every n-th scan, and where a keyframe is
             due; the mask of the others is what was known of their places.
         wide: whether other guesses are tried while a pose is in doubt.
     """
 
     level: int
-    budget: Budget
+    budgets: tuple[Budget, ...]
     update_every: int
     wide: bool
 
 
+QUICK = Budget(5_000, 100)
+"""Budget of the first look. Seven lidar sequences at stride 1: the poses of 256 superpoints at
+half the cost (docs/lab/2026-11-29-step-time.md)."""
+FULL = Budget()
+"""Budget where the first look is not sure, and to find the pose again after a loss."""
 EFFORTS = (
-    Effort(0, Budget(), 1, wide=True),
-    Effort(1, Budget(), 2, wide=False),
-    Effort(2, Budget(3_000, 144), 3, wide=False),
+    Effort(0, (QUICK, FULL), 1, wide=True),
+    Effort(1, (QUICK,), 2, wide=False),
+    Effort(2, (QUICK,), 3, wide=False),
 )
-"""From all to least. The smaller budget costs three quarters of a step in streets, and accuracy in
-crowded rooms only (docs/lab/2026-11-29-network-leads.md)."""
+"""From all to least."""
 _CALM_SCANS = 20
 """So many scans in a row without a dropped cloud, and a level less is tried."""
 

@@ -87,15 +87,15 @@ class LearnedBranch:
     Args:
         registrar: the network; of one with a method `sequence`, one is begun for each budget, to
             keep one voxel.
-        memory: keyframes whose encoding is kept at most, those that were asked for last. Those
-            of our recordings take 2 to 5 MB.
+        memory: encodings of keyframes kept at most, those that were asked for last. Those of our
+            recordings take 2 to 5 MB at the full budget.
     """
 
     def __init__(self, registrar: Registrar, memory: int) -> None:
         self._registrar = registrar
         self._sequences: dict[Budget, Registrar] = {}
         self._memory = memory
-        self._keyframes: dict[int, Encoded] = {}
+        self._keyframes: dict[tuple[int, Budget], Any] = {}
 
     def _of(self, budget: Budget) -> Registrar:
         """The registrar whose voxel keeps to a budget."""
@@ -112,23 +112,41 @@ class LearnedBranch:
             _log.debug('scan not encoded: %s', error)
             return None
 
+    def encode_finer(
+        self, points: NDArray[np.float32], scan: Encoded | None, budget: Budget
+    ) -> Encoded | None:
+        """Encode a scan at a larger budget; None when that would not make its voxel smaller.
+
+        Args:
+            points: (M, 3) of the scan, sensor frame, metres.
+            scan: it at the budget so far, None = it cannot be encoded.
+            budget: the larger one.
+        """
+        if scan is None:
+            return None
+        coarse, fine = (getattr(self._of(b), 'voxel_size_m', 0.0) for b in (scan.budget, budget))
+        if fine is not None and fine >= coarse:
+            return None
+        found = self.encode(points, budget)  # the first of a budget chooses its voxel
+        return found if getattr(self._of(budget), 'voxel_size_m', 0.0) < coarse else None
+
     def adopt(self, keyframe: Keyframe, encoded: Encoded | None) -> None:
         """A scan has become this keyframe: keep its encoding unless it is None."""
         if encoded is not None:
-            self._keep(keyframe, encoded)
+            self._keep(keyframe, *encoded)
 
     def forget(self, keyframe: Keyframe) -> None:
         """A keyframe has changed: encode it anew when it is matched next."""
-        self._keyframes.pop(keyframe.number, None)
+        self._keyframes = {k: e for k, e in self._keyframes.items() if k[0] != keyframe.number}
 
     def keep_only(self, keyframes: Iterable[Keyframe]) -> None:
         """Let go of the encodings of all other keyframes: they are not asked for any more."""
         numbers = {keyframe.number for keyframe in keyframes}
-        self._keyframes = {n: e for n, e in self._keyframes.items() if n in numbers}
+        self._keyframes = {k: e for k, e in self._keyframes.items() if k[0] in numbers}
 
-    def _keep(self, keyframe: Keyframe, encoded: Encoded) -> None:
+    def _keep(self, keyframe: Keyframe, budget: Budget, encoding: Any) -> None:
         """Keep an encoding as the one that was asked for last."""
-        self._keyframes[keyframe.number] = encoded
+        self._keyframes[keyframe.number, budget] = encoding
         if len(self._keyframes) > self._memory:
             del self._keyframes[next(iter(self._keyframes))]
 
@@ -143,11 +161,11 @@ class LearnedBranch:
             return None
         registrar = self._of(scan.budget)
         try:
-            known = self._keyframes.pop(keyframe.number, None)
-            if known is None or known.budget != scan.budget:
-                known = Encoded(scan.budget, registrar.encode(keyframe.points))
-            self._keep(keyframe, known)
-            match: Match = registrar.match(scan.encoding, known.encoding)
+            known = self._keyframes.pop((keyframe.number, scan.budget), None)
+            if known is None:
+                known = registrar.encode(keyframe.points)
+            self._keep(keyframe, scan.budget, known)
+            match: Match = registrar.match(scan.encoding, known)
         except RegistrationError as error:
             _log.debug('no match with keyframe %d: %s', keyframe.number, error)
             return None

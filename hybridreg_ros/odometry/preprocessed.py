@@ -25,7 +25,7 @@ class PreprocessedScan:
         points: (N, 3) float32, all points of the scan, deskewed, sensor frame, metres.
         usable: (N,) bool, inside the range limits.
         map_rows: (M,) rows of `points` thinned for the map.
-        icp_rows: (K,) rows of `points` thinned for registration, K <= icp_points.
+        icp_rows: (K,) rows of `points` thinned for registration.
         means: (M, 3) float32, mean of the points in the cube of each map row: less noise than one.
         counts: (M,) int32 points in that cube.
         cube: (N,) int32 cube of each point, -1 outside the range limits.

@@ -13,6 +13,7 @@ import numpy as np
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.pages import give_back
+from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.locator import Locator
 from hybridreg_ros.odometry.network_branch import LearnedBranch
 from hybridreg_ros.odometry.registration import covariance
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.keyframes import Keyframe
     from hybridreg_ros.odometry.load import Effort
     from hybridreg_ros.odometry.motion.prediction import Motion
-    from hybridreg_ros.odometry.network_branch import Encoded, Registrar
+    from hybridreg_ros.odometry.network_branch import Encoded, Proposal, Registrar
     from hybridreg_ros.odometry.preprocess import SensorModel
     from hybridreg_ros.odometry.preprocessed import PreprocessedScan
     from hybridreg_ros.odometry.result import Watch
@@ -82,10 +83,12 @@ class Tracker:
         self._learned = None if registrar is None else LearnedBranch(registrar, asked)
         self._locator = Locator(config, sensor, self._world, self._learned)
         self._bad_frames = 0
-        self._lost_scans = 0
+        self._lost_since, self._lost_twist = 0, np.zeros(6)
+        self._blind_leg = np.zeros((6, 6))
         self._opening: tuple[PreprocessedScan, int] | None = None
         self._continuity = ScanContinuity()
         self._since_update = 0
+        self._becomes_keyframe = False
 
     def encode(self, cloud: PreprocessedScan, budget: Budget) -> Encoded | None:
         """A cloud encoded by the network; None without one. Needs nothing of earlier scans."""
@@ -93,10 +96,29 @@ class Tracker:
             return None
         return self._learned.encode(cloud.map_points, budget)
 
+    def propose(
+        self, cloud: PreprocessedScan, encoded: Encoded | None, stamp: int
+    ) -> Proposal | None:
+        """What the network says of a cloud, None where it says nothing yet.
+
+        It may be asked while the last scan is written to the world in another thread, so it says
+        nothing when that scan becomes a keyframe; `step` asks it then.
+
+        Args:
+            cloud: the preprocessed scan.
+            encoded: it, by `encode`.
+            stamp: its stamp, ns.
+        """
+        if self._learned is None or self._becomes_keyframe or self.lost:
+            return None
+        expected = self._continuity.expect(self._motion.expect(stamp), cloud, stamp)
+        return self._learned.propose(encoded, self._world.keyframes.to_match(expected.pose))
+
     def step(
         self,
         cloud: PreprocessedScan,
         encoded: Encoded | None,
+        proposal: Proposal | None,
         stamp: int,
         effort: Effort,
         watch: Watch,
@@ -106,11 +128,12 @@ class Tracker:
         Args:
             cloud: the preprocessed scan.
             encoded: it, by `encode`.
+            proposal: by `propose`.
             stamp: its stamp, ns.
             effort: how much is done.
             watch: books the time per stage.
         """
-        self._locator.judged = []
+        self._locator.judged, self._becomes_keyframe = [], False
         if len(cloud.icp_rows) < self._config.input.min_points:
             return self._bad(cloud, stamp, Reason.TOO_FEW_POINTS)
         if len(self._world.map) == 0:
@@ -118,19 +141,20 @@ class Tracker:
         expected = self._continuity.expect(self._motion.expect(stamp), cloud, stamp)
         trust = self._world.dynamics.trust(cloud.icp_points, predicted := expected.pose)
         if self.lost:
-            found = self._locator.relocate(cloud, encoded, self._motion.pose)
+            found = self._locator.relocate(cloud, self._motion.pose)
         else:
             last = self._motion.pose
-            found = self._locator.locate(cloud, encoded, expected, last, trust, watch, effort.wide)
+            asked = encoded, proposal
+            found = self._locator.locate(cloud, asked, expected, last, trust, watch, effort)
         if isinstance(found, Located) and self._opens(cloud, stamp):
-            cloud, predicted, found = self._opened(cloud, encoded, stamp, found, watch)
+            cloud, predicted, found = self._opened(cloud, encoded, stamp, found, watch, effort)
         self._opening = None
         watch.lap('refine')
         if isinstance(found, Located) and self._is_last_straw(found):
             found = found.reason
         if isinstance(found, Located):
             return self._accept(cloud, encoded, stamp, predicted, found, effort)
-        if self.lost and self._give_up():
+        if self.lost and self._give_up(stamp):
             return self._begin(cloud, encoded, stamp, Reason.RECOVERED)
         return self._bad(cloud, stamp, found)
 
@@ -160,6 +184,7 @@ class Tracker:
         stamp: int,
         found: Located,
         watch: Watch,
+        effort: Effort,
     ) -> tuple[PreprocessedScan, F64, Located]:
         """Make the map of the first scan again, deskewed by the velocity that the second shows.
 
@@ -180,7 +205,8 @@ class Tracker:
             self._restart(first.moved_by(twist), begun, since)
             ones = np.ones(len(cloud.icp_rows), np.float32)
             expected = replace(self._motion.expect(stamp), pose=predicted)
-            again = self._locator.locate(cloud, encoded, expected, begun, ones, watch)
+            asked = encoded, None
+            again = self._locator.locate(cloud, asked, expected, begun, ones, watch, effort)
             if isinstance(again, Reason):  # the velocity was wrong, so as it was before
                 self._restart(first, start, since)
                 return still, start, found
@@ -220,7 +246,7 @@ class Tracker:
                 self._continuity.end_at(entered, pose, intra_scan, stamp)
             else:
                 self._hold(pose, stamp)
-        self.lost, self._lost_scans = False, 0
+        self.lost = False
         self._bad_frames = self._bad_frames + 1 if found.tentative else 0
         self.source = found.source
         section = self._config.covariance
@@ -228,13 +254,14 @@ class Tracker:
         if found.source is Source.KISS_ICP:
             factor *= section.fallback_factor
         ahead_s = cloud.reported_s - cloud.instant_s
-        self.covariance = covariance.of_fit(found.fit, ahead_s, factor)
+        self.covariance = covariance.of_fit(found.fit, ahead_s, factor) + self._blind_leg
         reason = Reason.RECOVERED if was_lost else found.reason
         told = self._locator.confidence_of(found)
         estimate = self._estimate(pose, reason, told.confidence, nothing(cloud), False)
         self._since_update += 1
         update = partial(self._update, cloud, encoded, stamp, found)
-        if self._since_update < effort.update_every and not self._world.is_due(found, stamp):
+        self._becomes_keyframe = self._world.is_due(found, stamp)
+        if self._since_update < effort.update_every and not self._becomes_keyframe:
             update = partial(self._pass_over, cloud, found)
         return replace(estimate, reported=reported, reported_confidence=told, update=update)
 
@@ -253,9 +280,8 @@ class Tracker:
         keyframe = self._world.add(cloud, stamp, found, dynamic, image)
         if keyframe is not None:
             self._adopt(keyframe, encoded)
-        if self._learned is not None:
-            self._learned.keep_only(self._world.keyframes.recent)
-            give_back()  # what the network took for this scan
+            if self._learned is not None:
+                give_back()  # what the network took; after every scan it costs a tenth of a step
         watch.lap('map')
         return Update(dynamic, keyframe is not None, self._keyframe_id)
 
@@ -276,11 +302,16 @@ class Tracker:
         """Start a map at the last pose: the first scan, or a new start after a loss.
 
         After a loss the way between the old map and the new one is not known: the pose of that
-        one step carries the covariance of LOST and the confidence 0.
+        one step carries the covariance of LOST and the confidence 0, and what may lie between the
+        maps stays in the covariance of all later poses.
         """
+        if reason is not Reason.FIRST_SCAN:
+            seconds = (stamp - self._lost_since) / NS_PER_S
+            leg = covariance.of_blindness(self._lost_twist, seconds)
+            self._blind_leg = self._blind_leg + leg
         self._stop(stamp)
         pose = self._motion.pose
-        self.lost, self._bad_frames, self._lost_scans = False, 0, 0
+        self.lost, self._bad_frames = False, 0
         self.source = Source.KISS_ICP if self._learned is None else Source.HYBRIDREG
         first = reason is Reason.FIRST_SCAN
         self.covariance = covariance.first() if first else covariance.lost()
@@ -289,19 +320,26 @@ class Tracker:
         return self._estimate(pose, reason, float(first), nothing(cloud), is_keyframe=True)
 
     def _bad(self, cloud: PreprocessedScan, stamp: int, reason: Reason) -> Estimate:
-        """No pose from this cloud: coast for a few frames, then say LOST and stand still."""
+        """No pose from this cloud: coast for a few frames, then say LOST.
+
+        A cloud that holds next to nothing is silence: the pose is predicted for as long as that
+        lasts, but nothing is known of the motion meanwhile.
+        """
         self._bad_frames += 1
-        self.lost = self.lost or self._bad_frames >= self._config.lost.after_bad_frames
-        dynamic = nothing(cloud)
+        if not self.lost and self._bad_frames >= self._config.lost.after_bad_frames:
+            self.lost, self._lost_since, self._lost_twist = True, stamp, self._motion.twist
+        pose = self._motion.predict(stamp)
         if self.lost:
             self._stop(stamp)
-            self.source, self.covariance = Source.LOST, covariance.lost()
+            pose, self.source, self.covariance = self._motion.pose, Source.LOST, covariance.lost()
         else:
-            self._hold(self._motion.predict(stamp), stamp)
+            self._continuity.end()
+            if reason is not Reason.TOO_FEW_POINTS:
+                self._motion.hold(pose, stamp)
             self.covariance = covariance.coasting(
                 self.covariance, self._config.covariance.coast_factor, self.sensor.voxel_size_m
             )
-        return self._estimate(self._motion.pose, reason, 0.0, dynamic, is_keyframe=False)
+        return self._estimate(pose, reason, 0.0, nothing(cloud), is_keyframe=False)
 
     def _stop(self, stamp: int, pose: F64 | None = None) -> None:
         """Stand still from now on, at a pose or at the last one."""
@@ -316,14 +354,19 @@ class Tracker:
     def _adopt(self, keyframe: Keyframe, encoded: Encoded | None) -> None:
         """Let the network match against a keyframe that a scan has become."""
         if self._learned is not None:
+            self._learned.keep_only(self._world.keyframes.recent)
             self._learned.adopt(keyframe, encoded)
 
-    def _give_up(self) -> bool:
+    def _give_up(self, stamp: int) -> bool:
         """Whether the old map is given up; then it is forgotten, with all that belongs to it."""
-        self._lost_scans += 1
-        if self._lost_scans <= self._config.lost.reanchor_after:
+        since_s = (stamp - self._lost_since) / NS_PER_S
+        if since_s < self._config.lost.reanchor_after_s:
             return False
-        _log.warning('lost for %d scans: starting a new map at the last pose', self._lost_scans)
+        _log.warning(
+            'lost for %.1f s: starting a new map at the last pose; covariances hold what may lie '
+            'between the maps from now on',
+            since_s,
+        )
         self._world.forget()
         self._world.keyframes.clear()
         return True

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from tiny_world import ROOM, cast, depth_rays, pose
 
+import hybridreg_ros.odometry.preprocess as preprocessing
 from hybridreg_ros.core.scan import Scan
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.map.local_map import LocalMap
@@ -22,17 +23,20 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.preprocessed import PreprocessedScan
 
 
-def test_more_points_of_finer_cubes_do_not_count_as_so_much_more() -> None:
+def test_more_points_of_finer_cubes_do_not_count_as_so_much_more(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     points = cast(ROOM, pose(-1.0, -0.5, 0.0), depth_rays(640, 480))[0]
     config = OdometryConfig()
     sensor = recognise_sensor(points, config)
     scan = Scan(points, stamp=1.0, frame_id='s')
 
-    def prepared(enough: int) -> PreprocessedScan:
-        settings = replace(config.preprocess, icp_enough=enough)
-        return preprocess(scan, sensor, settings, np.zeros(6))
+    def prepared() -> PreprocessedScan:
+        return preprocess(scan, sensor, config.preprocess, np.zeros(6))
 
-    coarse, fine = prepared(1), prepared(0)
+    fine = prepared()
+    monkeypatch.setitem(preprocessing._ENOUGH, 'depth', 1)
+    coarse = prepared()
     assert coarse.icp_share == 1.0
     assert len(fine.icp_rows) > max(2500, 1.2 * len(coarse.icp_rows))
     independent = max(2500, len(coarse.icp_rows))

@@ -166,13 +166,15 @@ def test_close_to_the_prediction_is_looked_once_and_only_in_doubt(
 def test_teleport_is_lost_then_starts_a_new_map_and_says_so() -> None:
     other = [pose(-40.0 + 0.05 * k, 30.0, 10.0) for k in range(14)]
     far = scans(other, RAYS, world=_hall(), start_s=100.5)
-    config = OdometryConfig(lost=LostConfig(after_bad_frames=2, reanchor_after=3))
+    config = OdometryConfig(lost=LostConfig(after_bad_frames=2, reanchor_after_s=0.25))
     results = run(scans(walk(5), RAYS) + far, config)
     reasons = [r.reason for r in results]
     assert results[5].confidence == 0.0
     assert is_lost(results[6])
     again = reasons.index(Reason.RECOVERED)
     assert np.diag(results[again].covariance).min() == LOST_VARIANCE
+    for result in results[again + 1 :]:  # how far the sensor went unseen stays unknown
+        assert 0.1**2 < result.covariance[:3, :3].max() < LOST_VARIANCE
     assert results[-1].confidence > 0.9
     assert results[-1].source is Source.KISS_ICP
     assert jumps(results) < 0.3

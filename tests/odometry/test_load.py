@@ -12,7 +12,7 @@ from tiny_world import lidar_rays, scans, walk
 
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.frontend import HybridOdometry
-from hybridreg_ros.odometry.load import EFFORTS, Load
+from hybridreg_ros.odometry.load import EFFORTS, FULL, QUICK, Load
 from hybridreg_ros.odometry.result import Source
 
 if TYPE_CHECKING:
@@ -30,8 +30,8 @@ def test_less_at_once_and_more_again_after_a_calm_while() -> None:
 
 
 def test_each_level_does_less() -> None:
-    sizes = [e.budget.max_points for e in EFFORTS]
-    assert sizes == sorted(sizes, reverse=True)
+    assert [e.budgets for e in EFFORTS] == [(QUICK, FULL), (QUICK,), (QUICK,)]
+    assert QUICK.max_superpoints < FULL.max_superpoints
     assert [e.update_every for e in EFFORTS] == [1, 2, 3]
     assert [e.wide for e in EFFORTS] == [True, False, False]
 
@@ -60,7 +60,7 @@ def test_behind_its_sensor_poses_stay_right_and_the_map_is_made_less_often() -> 
         assert odometry._tracker is not None
         updates.append(odometry._tracker._world.map.updates)
     assert [r.load for r in results] == [0, 0, 0, 1] + [2] * 8
-    assert registrar.budgets == [EFFORTS[0].budget, EFFORTS[2].budget]
+    assert registrar.budgets == [QUICK]
     assert {r.source for r in results[1:]} == {Source.HYBRIDREG}
     assert updates[2] == 3
     assert 4 <= updates[-1] <= 3 + 1 + 8 // 3 + sum(r.is_keyframe for r in results[3:])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from tiny_world import Box, cast, depth_rays, pose
 
+import hybridreg_ros.odometry.preprocess as preprocessing
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import NS_PER_S, Scan
 from hybridreg_ros.odometry.config import GateConfig, OdometryConfig, RefineConfig
@@ -119,14 +120,14 @@ def test_few_pairs_of_points_and_no_plane_hold_a_pose_without_an_error() -> None
         assert np.linalg.eigvalsh(held).max() > 0.0
 
 
-def test_few_cubes_are_made_finer_for_the_registration() -> None:
+def test_few_cubes_are_made_finer_for_the_registration(monkeypatch: pytest.MonkeyPatch) -> None:
     points = cast(WALL, pose(1.2, 0.0, 0.0), depth_rays(320, 240))[0]
     config = OdometryConfig(voxel_size_m=0.06)
     sensor = recognise_sensor(points, config)
-    coarse = OdometryConfig(preprocess=type(config.preprocess)(icp_enough=1)).preprocess
     scan = Scan(points, stamp=1.0, frame_id='s')
-    few = len(preprocess(scan, sensor, coarse, np.zeros(6)).icp_rows)
     cloud = preprocess(scan, sensor, config.preprocess, np.zeros(6))
+    monkeypatch.setitem(preprocessing._ENOUGH, 'depth', 1)
+    few = len(preprocess(scan, sensor, config.preprocess, np.zeros(6)).icp_rows)
     assert few < 300
     assert len(cloud.icp_rows) > 3 * few
     assert set(cloud.icp_rows) <= set(cloud.map_rows)

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from hybridreg_ros.model.network.backbone import Norm
 from hybridreg_ros.model.network.forward_attention import correlate as _correlate
 from hybridreg_ros.model.network.forward_attention import self_attention
 from hybridreg_ros.model.network.forward_backbone import backbone
@@ -32,11 +31,10 @@ if TYPE_CHECKING:
 
 def has_compiled_form(net: HybridRegNet) -> bool:
     """Whether the compiled functions do what this network does: on a CPU, mean over angles."""
-    groups = {m.groups for m in net.modules() if isinstance(m, Norm)}
     return (
-        groups == {net.config.groups}
+        net.norm_groups == {net.config.groups}
         and net.config.angle_reduction == 'mean'
-        and next(net.parameters()).device.type == 'cpu'
+        and net.project.weight.device.type == 'cpu'
     )
 
 

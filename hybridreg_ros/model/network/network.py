@@ -15,7 +15,7 @@ from torch.nn import functional
 from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.model.geometry.pyramid import Pyramid, metric_transform
 from hybridreg_ros.model.network.attention import CrossLayer, GeometryTable, SelfLayer
-from hybridreg_ros.model.network.backbone import Backbone
+from hybridreg_ros.model.network.backbone import Backbone, Norm
 from hybridreg_ros.model.network.estimators import (
     PointMatches,
     PoseEstimate,
@@ -143,6 +143,7 @@ class HybridRegNet(nn.Module):
         self.output = nn.Linear(dim, dim)
         self.mask = MaskHead(config)
         self.transport = Transport(config.sinkhorn_iterations)
+        self.norm_groups = {m.groups for m in self.modules() if isinstance(m, Norm)}
 
     def encode(self, pyramid: Pyramid) -> Encoding:
         """Backbone, projection and first self-attention of one cloud."""

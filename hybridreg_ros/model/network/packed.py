@@ -50,11 +50,13 @@ class Weights:
             layer of the decoder and projection (2 each).
         transformer: self- and cross-attention of every block (13 each), cross-attention of the
             mask (13), its two layers (2 each), output (2).
-        versions: of the parameters they were made from.
+        parameters: what they were made from.
+        versions: of the parameters then.
     """
 
     backbone: Pack
     transformer: Pack
+    parameters: tuple[nn.Parameter, ...]
     versions: tuple[int, ...]
 
 
@@ -67,18 +69,25 @@ def matrix(flat: F32, shape: I64, i: int) -> F32:
 
 def weights_of(net: HybridRegNet) -> Weights:
     """The weights of a network, packed once and again only when one of them has changed."""
-    versions = tuple(p._version for p in net.parameters())
     known = net.__dict__.get('_packed')
-    if isinstance(known, Weights) and known.versions == versions:
+    # The parameters are kept: to look for them in all modules would take 2 ms.
+    if isinstance(known, Weights) and known.versions == _versions(known.parameters):
         return known
+    parameters = tuple(net.parameters())
     with torch.no_grad():
         found = Weights(
             _pack(_backbone_matrices(net.backbone, net.project)),
             _pack(_transformer_matrices(net)),
-            versions,
+            parameters,
+            _versions(parameters),
         )
     net.__dict__['_packed'] = found
     return found
+
+
+def _versions(parameters: tuple[nn.Parameter, ...]) -> tuple[int, ...]:
+    """How often each was changed."""
+    return tuple(p._version for p in parameters)
 
 
 def _pack(matrices: Iterator[Tensor | None]) -> Pack:

@@ -31,6 +31,9 @@ _LEAST_SHARE = 0.3
 """The angular velocity varies about each axis at least by this share of its mean over all."""
 _HARDEST = np.array([20.0, 20.0])
 """Largest acceleration of a sensor in use, m/s^2 and rad/s^2: hands, legs and cars stay below."""
+_LONGEST_S = 2.0
+"""For so long a velocity goes on as it was; after a longer pause a sensor is as likely to have
+stopped or turned, and is looked for where it would be then."""
 _LEAST_SPREAD = np.array([0.01, np.deg2rad(0.1)])
 
 
@@ -136,8 +139,8 @@ class Motion:
         self._errors: deque[F64] = deque(maxlen=_KEPT)
 
     def predict(self, stamp: int) -> F64:
-        """Pose (4, 4) at a stamp (ns) if the velocity stays as it is."""
-        result: F64 = self.pose @ se3.exp(self.twist * self.seconds_to(stamp))
+        """Pose (4, 4) at a stamp (ns) if the velocity stays as it is, for a while."""
+        result: F64 = self.pose @ se3.exp(self.twist * min(self.seconds_to(stamp), _LONGEST_S))
         return result
 
     def expect(self, stamp: int) -> Expected:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -37,11 +37,24 @@ if TYPE_CHECKING:
 
 from typing import TYPE_CHECKING
 
-Basin = Literal['coarse', 'middle', 'fine']
+Basin = Literal['coarse', 'middle', 'near', 'fine']
 
 _POINT_SPREAD = 5.0
 """Standard deviation of a point-to-point residual, in voxels: such pairs follow the pattern of the
 rings rather than the surface, so they only hold what planes leave free."""
+
+
+_NEAR = 0.3
+"""Step, in fine voxels, at which the pull from a pose of the network has come near enough: half of
+its pairings, and the same ATE (docs/lab/2026-11-29-step-time.md). Not from other guesses: a sparse
+lidar that turns back at once is lost for 35 instead of 4 scans of 44."""
+
+
+class _Schedule(NamedTuple):
+    """Course of an alignment: its first robust scale, in voxels, and the step that ends it."""
+
+    scale: float
+    enough_m: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +100,8 @@ def align(
         local_map: the map.
         config: settings.
         weights: (N,) trust per point in [0, 1] (1 - P(dynamic)), or None for all equal.
-        basin: level to start on: the coarser, the farther off the guess may be.
+        basin: level to start on: the coarser, the farther off the guess may be; 'near' = the
+            middle one, until it is near.
         times: (N,) seconds of each point after the instant of the pose; then the motion during
             the scan is found too.
         prior: pose that the motion so far expects, with a spread to which the information of the
@@ -100,7 +114,7 @@ def align(
     floor = 4.0 * config.min_scale if basin == 'fine' else 0.4 * config.start_scale
     levels = local_map.of_surfaces
     T, converged, surfaces = _iterate(
-        points, trust, start, levels, local_map, config, floor, prior
+        points, trust, start, levels, local_map, config, _Schedule(floor), prior
     )
     if times is None or not config.intra_scan:
         if converged:  # it stands where it was paired last
@@ -166,7 +180,9 @@ def pull_in(
     points, trust = _prepared(points[some], None if weights is None else weights[some])
     level = local_map.coarse if basin == 'coarse' else local_map.middle
     levels = (level, local_map.coarse, local_map.coarse)
-    return _iterate(points, trust, T_odom_sensor, levels, local_map, config, config.start_scale)[0]
+    enough_m = _NEAR * local_map.fine.size_m if basin == 'near' else 0.0
+    course = _Schedule(config.start_scale, enough_m)
+    return _iterate(points, trust, T_odom_sensor, levels, local_map, config, course)[0]
 
 
 def _prepared(
@@ -300,15 +316,16 @@ def _iterate(
     levels: tuple[VoxelLevel, VoxelLevel, VoxelLevel],
     local_map: LocalMap,
     config: RefineConfig,
-    floor: float,
+    schedule: _Schedule,
     prior: Expected | None = None,
 ) -> tuple[NDArray[np.float64], bool, Surfaces]:
     """Pair and step until the pose stands still; the pose, whether it does, and the last pairs.
 
-    The robust scale starts no smaller than `floor` voxels and shrinks (graduated non-convexity):
-    a sharp kernel at a bad guess would keep only the pairs that happen to agree with the guess.
+    The robust scale starts no smaller than that of the schedule and shrinks (graduated
+    non-convexity): a sharp kernel at a bad guess would keep only the pairs that happen to agree
+    with the guess.
     """
-    level = levels[0]
+    level, floor = levels[0], schedule.scale
     surfaces = Surfaces(len(points))
     reach = float(np.median(np.linalg.norm(points, axis=1))) if len(points) else 1.0
     order = _by_range(points)
@@ -333,6 +350,8 @@ def _iterate(
             moved = max(moved, float(np.linalg.norm(step[:3]) + reach * np.linalg.norm(step[3:])))
         if moved < config.convergence * level.size_m and floor < 2.0 * config.min_scale:
             return se3.orthonormalise(T), True, surfaces
+        if moved < schedule.enough_m:
+            break
         floor *= config.anneal
     return se3.orthonormalise(T), False, surfaces
 

@@ -20,6 +20,10 @@ _LARGEST_STD = 10.0
 """Cap of standard deviations (metres, radians): below LOST_VARIANCE, far above any use."""
 
 
+_SLOW = np.array([0.5, 0.2])
+"""Speed (m/s) and rate (rad/s) at which a sensor that was at rest may be moved by hand."""
+
+
 def lost() -> F64:
     """Covariance (6, 6) of a pose that must not be used."""
     return np.eye(6) * LOST_VARIANCE
@@ -86,6 +90,21 @@ def coasting(covariance: F64, factor: float, floor_m: float) -> F64:
     """
     grown: F64 = np.minimum(covariance * factor, _LARGEST_STD**2) + np.eye(6) * floor_m**2
     return grown
+
+
+def of_blindness(twist: F64, seconds: float) -> F64:
+    """Covariance (6, 6) of where a sensor has gone since nothing is known of it.
+
+    It may have gone on or come back, so what the velocity before would have made is one standard
+    deviation, along every axis; a sensor that stood may have been carried off too.
+
+    Args:
+        twist: (6,) linear (m/s) and angular (rad/s) velocity before.
+        seconds: time since then.
+    """
+    speed, rate = np.linalg.norm(twist[:3]), np.linalg.norm(twist[3:])
+    std = np.minimum(_SLOW + np.array([speed, rate]), _LARGEST_STD / max(seconds, 1e-3)) * seconds
+    return np.diag(np.repeat(std**2, 3))
 
 
 def of_twist(pose_covariance: F64, T_odom_sensor: F64, dt_s: float) -> F64:

@@ -72,18 +72,21 @@ def resident_mb(pid: int) -> float:
     return pages * resource.getpagesize() / 1e6
 
 
-def endure(clouds: Sequence[Scan], count: int, real: bool) -> Endurance:
+def endure(
+    clouds: Sequence[Scan], count: int, real: bool, config: OdometryConfig | None = None
+) -> Endurance:
     """Send so many clouds into a node of its own.
 
     Args:
         clouds: scans in order, sensor frame, metres.
         count: clouds to send, more than `WARM_STEPS`.
         real: send at 10 Hz, else as fast as they are answered.
+        config: settings of the front end.
     """
     space, domain = f'/endurance_{os.getpid()}', 1 + os.getpid() % 99
     settings = NodeConfig(input_qos='reliable', publish_tf=False)
     answered: set[int] = set()
-    process = NodeProcess((OdometryConfig(), settings), space, domain)
+    process = NodeProcess((config or OdometryConfig(), settings), space, domain)
 
     def keep(msg: Odometry) -> None:
         answered.add(to_ns(msg.header.stamp))

@@ -38,7 +38,6 @@ ELSEWHERE = {
     'hybridreg train': 'takes hours; tests/training/test_loop.py',
     'hybridreg evaluate': 'needs the above; tests/cli/test_cli_model.py',
     'hybridreg ship': 'needs the above; tests/cli/test_cli_ship.py',
-    'hybridreg replay --suite': 'takes hours; tests/replay/test_suite.py',
     'START=': 'needs a GPU',
     'DEVICE=': 'takes minutes; tests/training',
     'python scripts/ablation.py': 'takes hours; tests/training/test_ablation.py',

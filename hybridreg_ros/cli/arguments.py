@@ -291,6 +291,12 @@ def _replay(commands: Commands) -> None:
     )
     p.add_argument('--moving', type=Path, metavar='FILE', help='write what moved as .ply or .pcd')
     p.add_argument(
+        '--video',
+        type=Path,
+        metavar='FILE',
+        help='write a .gif or .webp of what the sensor saw, with its moving points',
+    )
+    p.add_argument(
         '--no-compare', action='store_true', help='do not run kiss-icp alone on the same clouds'
     )
     p.add_argument('--live', action='store_true', help='play the bag to the real node over DDS')

@@ -85,6 +85,7 @@ def _jobs(args: argparse.Namespace) -> list[session.Job]:
             compare=not args.no_compare,
             map=_own(args, args.map, bag),
             moving=_own(args, args.moving, bag),
+            video=_own(args, args.video, bag, ('.gif', '.webp')),
         )
         for bag in args.bags
     ]
@@ -104,10 +105,12 @@ def _folder(args: argparse.Namespace, bag: Path) -> Path:
     return out if len(args.bags) == 1 else out / bag.stem
 
 
-def _own(args: argparse.Namespace, path: Path | None, bag: Path) -> Path | None:
+def _own(
+    args: argparse.Namespace, path: Path | None, bag: Path, kinds: tuple[str, ...] = CLOUDS
+) -> Path | None:
     """A file of one bag: as named, or of that name in the folder of each of several bags."""
-    if path is not None and path.suffix.lower() not in CLOUDS:
-        raise ConfigError(f'{path}: expected a file ending in {", ".join(CLOUDS)}')
+    if path is not None and path.suffix.lower() not in kinds:
+        raise ConfigError(f'{path}: expected a file ending in {", ".join(kinds)}')
     return path if path is None or len(args.bags) == 1 else _folder(args, bag) / path.name
 
 

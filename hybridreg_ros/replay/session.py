@@ -19,7 +19,7 @@ from hybridreg_ros.replay.clean_map import CleanMap, MapReport, MapSink
 from hybridreg_ros.replay.folder_log import between, open_log
 from hybridreg_ros.replay.frame_errors import frame_errors
 from hybridreg_ros.replay.interrupt import StopRequest
-from hybridreg_ros.replay.page.pictures import Album
+from hybridreg_ros.replay.page.pictures import Album, Film
 from hybridreg_ros.replay.page.report import ReportRun, write_report
 from hybridreg_ros.replay.page.scene import SceneSink
 
@@ -59,6 +59,7 @@ class Job:
         compare: run kiss-icp alone beside it.
         map: file (.ply, .pcd, ...) for the cleaned map, None for none.
         moving: file for the points that moved.
+        video: .gif of what the sensor saw, with its moving points.
     """
 
     bag: Path
@@ -78,6 +79,7 @@ class Job:
     compare: bool = True
     map: Path | None = None
     moving: Path | None = None
+    video: Path | None = None
 
 
 def asked(job: Job) -> dict[str, Any]:
@@ -196,6 +198,7 @@ def replay(
     album, seen = Album(count, threshold=threshold), SceneSink(threshold)
     also = () if beside is None else (beside,)
     wanted = job.map is not None or job.moving is not None
+    film = [Film(threshold)] if job.video is not None else []
     with contextlib.ExitStack() as stack:
         bag = open_log(job.bag)
         stack.enter_context(bag)
@@ -212,7 +215,7 @@ def replay(
         log = runner.run(
             (f if f.scan is None else f._replace(scan=front_end.seen(f.scan)) for f in frames),
             front_end,
-            (tum, made, album, seen, *mapped, *also),
+            (tum, made, album, seen, *mapped, *film, *also),
             job.stride,
             job.max_frames,
             threshold,
@@ -221,6 +224,8 @@ def replay(
         )
         recovered = bag.recovered
         about: dict[str, Any] = {'map': _write_map(job, mapped[0].make())} if mapped else {}
+    if job.video is not None:
+        film[0].write(job.video)
     if recovered is not None:
         log.notes.append(f'the bag is cut off, {recovered} messages were recovered')
     if job.config.registrar == 'hybridreg' and not front_end.has_network:

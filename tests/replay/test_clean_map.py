@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from hybridreg_ros.cli.main import main
 from hybridreg_ros.core import se3
@@ -111,3 +112,15 @@ def test_replay_writes_the_map(
     assert len(read_cloud(moved)) > 0
     assert main([*arguments, '--map', str(tmp_path / 'map.txt')]) == 2
     assert 'expected a file ending in .ply' in capsys.readouterr().err
+
+
+def test_replay_writes_a_film(room_bag: Path, tmp_path: Path) -> None:
+    film = tmp_path / 'run.gif'
+    arguments = ['replay', str(room_bag), '--out', str(tmp_path / 'o'), '--registrar', 'kiss-icp']
+    assert main([*arguments, '--video', str(film)]) == 0
+    with Image.open(film) as image:
+        assert image.n_frames == 12
+        image.seek(11)
+        red, green, blue = np.asarray(image.convert('RGB'), int).reshape(-1, 3).T
+    assert ((red > 180) & (green < 160) & (blue < 100)).sum() > 20, 'the moving box is orange'
+    assert main([*arguments, '--overwrite', '--video', str(tmp_path / 'run.avi')]) == 2

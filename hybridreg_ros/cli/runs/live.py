@@ -54,6 +54,7 @@ def check_options(args: argparse.Namespace) -> None:
         '--no-clouds': args.no_clouds,
         '--map': args.map is not None,
         '--moving': args.moving is not None,
+        '--video': args.video is not None,
     }
     for option, used in refused.items():
         if used:

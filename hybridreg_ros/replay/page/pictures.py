@@ -14,6 +14,8 @@ from hybridreg_ros.core.errors import DependencyError
 from hybridreg_ros.replay.runner import DYNAMIC_THRESHOLD, true_dynamic
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from numpy.typing import NDArray
 
     from hybridreg_ros.odometry.result import OdometryResult
@@ -24,6 +26,7 @@ FALSE_ALARM = (214, 122, 190)
 MISSED = (64, 156, 255)
 WIDTH, MIN_HEIGHT, MAX_HEIGHT = 960, 200, 640
 WIDE_DEG, STRETCH = 120.0, 2.0
+FILM_WIDTH, FILM_FRAMES = 480, 300
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,19 +139,82 @@ def render(view: FrameView) -> bytes:
     Raises:
         DependencyError: pillow is not installed.
     """
+    stream = io.BytesIO()
+    drawn(view).save(stream, 'PNG', optimize=True)
+    return stream.getvalue()
+
+
+def drawn(view: FrameView) -> Any:
+    """The same as an image of pillow.
+
+    Raises:
+        DependencyError: pillow is not installed.
+    """
     try:
         from PIL import Image
     except ImportError:
         raise DependencyError(
             "pictures need pillow: pip install 'hybridreg_ros[replay]'"
         ) from None
-    if not len(view.points):
-        image = np.full((MIN_HEIGHT, WIDTH, 3), BACKGROUND, dtype=np.uint8)
-    else:
-        image = _raster(view)
-    stream = io.BytesIO()
-    Image.fromarray(image).save(stream, 'PNG', optimize=True)
-    return stream.getvalue()
+    empty = np.full((MIN_HEIGHT, WIDTH, 3), BACKGROUND, dtype=np.uint8)
+    return Image.fromarray(_raster(view) if len(view.points) else empty)
+
+
+class Film:
+    """A sink that draws every frame, as the sensor saw it, with its moving points.
+
+    Args:
+        threshold: dynamic probability from which a point counts as moving.
+    """
+
+    def __init__(self, threshold: float = DYNAMIC_THRESHOLD) -> None:
+        self._threshold = threshold
+        self._frames: dict[int, Any] = {}
+        self._seen, self._every = 0, 1
+
+    def add(self, message: Any, result: OdometryResult) -> None:
+        """Draw one frame; of a long run every second, fourth, ... is kept."""
+        if self._seen % self._every == 0:
+            moving = result.dynamic_probability >= self._threshold
+            image = drawn(FrameView(result.stamp, result.scan.points, moving, None))
+            height = round(image.height * FILM_WIDTH / image.width)
+            if self._frames:  # all frames of a film have one size
+                height = next(iter(self._frames.values())).height
+            small = image.resize((FILM_WIDTH, height))
+            self._frames[result.stamp] = small.quantize(palette=_palette(), dither=0)
+        self._seen += 1
+        if len(self._frames) > FILM_FRAMES:
+            self._frames = dict(list(self._frames.items())[::2])
+            self._every *= 2
+
+    def write(self, path: Path) -> None:
+        """Write a .gif or .webp that lasts as long as the run (at 10 to 50 frames per second)."""
+        images = list(self._frames.values())
+        if not images:
+            return
+        stamps = list(self._frames)
+        gap_ms = 1e-6 * (stamps[-1] - stamps[0]) / max(len(stamps) - 1, 1)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        images[0].save(
+            path,
+            save_all=True,
+            append_images=images[1:],
+            duration=int(np.clip(gap_ms, 20, 100)),
+            loop=0,
+            quality=40,
+        )
+
+
+def _palette() -> Any:
+    """Greys, and the colour of what moves on its way to the background."""
+    from PIL import Image
+
+    share = np.linspace(0.1, 1.0, 16)[:, None]
+    oranges = share * np.array(MOVING) + (1.0 - share) * np.array(BACKGROUND)
+    greys = np.linspace(BACKGROUND, (230, 230, 230), 48)
+    image = Image.new('P', (1, 1))
+    image.putpalette(np.concatenate([greys, oranges]).round().astype(int).ravel().tolist())
+    return image
 
 
 def _raster(view: FrameView) -> NDArray[np.uint8]:

@@ -1,0 +1,108 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""What a replay costs beside the front end (CPU time), and its memory over a long log.
+
+The clouds of the bag are repeated; for the memory a front end of constant pose takes them, so
+that only what the replay itself keeps is counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import itertools
+import resource
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hybridreg_ros.odometry.config import OdometryConfig
+from hybridreg_ros.odometry.result import OdometryResult, Reason, Source
+from hybridreg_ros.replay import outputs, runner
+from hybridreg_ros.replay.bag_reader import CloudFrame, open_bag
+from hybridreg_ros.replay.page.pictures import Album
+from hybridreg_ros.replay.page.scene import SceneSink
+from hybridreg_ros.replay.session import open_front_end
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from hybridreg_ros.core.scan import Scan
+
+GAP_NS = 100_000_000
+
+
+class Timed:
+    """A sink or front end whose CPU time is added up under a name."""
+
+    def __init__(self, inner: Any, name: str, spent: Counter[str]) -> None:
+        self._inner, self._name, self._spent = inner, name, spent
+
+    def __getattr__(self, name: str) -> Any:
+        call = getattr(self._inner, name)
+
+        def timed(*arguments: Any) -> Any:
+            start = time.process_time()
+            made = call(*arguments)
+            self._spent[self._name] += time.process_time() - start  # type: ignore[assignment]
+            return made
+
+        return timed
+
+
+class Standing:
+    """A front end that never moves and calls a twentieth of the points moving."""
+
+    def step(self, scan: Scan) -> OdometryResult:
+        """A result at the origin."""
+        called = np.zeros(len(scan), np.float32)
+        called[::20] = 1.0
+        six = np.zeros((6, 6))
+        return OdometryResult(
+            scan, np.eye(4), six, np.zeros(6), six, Source.KISS_ICP, Reason.OK, 1.0, called
+        )
+
+
+def repeated(bag: Path, count: int) -> Iterator[CloudFrame]:
+    """Clouds of a bag, over and over, with rising stamps."""
+    with open_bag(bag) as opened:
+        frames = [f for f in opened.frames() if f.scan is not None]
+    for k, frame in zip(range(count), itertools.cycle(frames), strict=False):
+        assert frame.scan is not None
+        scan = dataclasses.replace(frame.scan, stamp=GAP_NS * (k + 1))
+        yield frame._replace(stamp=scan.stamp, scan=scan)
+
+
+def main() -> None:
+    """Print both tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('bag', type=Path)
+    parser.add_argument('--frames', type=int, default=10_000, help='length of the long log')
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name, open_bag(args.bag) as opened:
+        spent: Counter[str] = Counter()
+        made = outputs.OutputBag(Path(name) / 'a.mcap')
+        sinks = {'scene': SceneSink(), 'pictures': Album(100), 'dynamic.mcap': made}
+        timed = [Timed(sink, text, spent) for text, sink in sinks.items()]
+        front = Timed(open_front_end(OdometryConfig(), None), 'front end', spent)
+        runner.run(opened.frames(), front, timed)
+        made.close()
+    print(
+        '\n'.join(
+            f'{n}: {s:.2f} s CPU, {100 * s / spent["front end"]:.1f} % of the front end'
+            for n, s in spent.items()
+        )
+    )
+    everything: tuple[runner.Sink, ...] = (SceneSink(), Album(100))
+    for count in (args.frames // 10, args.frames):
+        log = runner.run(repeated(args.bag, count), Standing(), everything)
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        print(f'{len(log.frames)} frames: peak of {peak:.0f} MiB')
+
+
+if __name__ == '__main__':
+    main()

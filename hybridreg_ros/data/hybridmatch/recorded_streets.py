@@ -27,10 +27,13 @@ from hybridreg_ros.data.meshes.geometry import voxel_thin
 from hybridreg_ros.data.meshes.raycast import Caster
 from hybridreg_ros.data.sensors.lidar import SpinningLidar, random_lidar
 from hybridreg_ros.data.sensors.lidar_pattern import PatternLidar, raster, rosette
+from hybridreg_ros.data.sequences.frame import LIDAR_FRAME, SimulatedFrame
 from hybridreg_ros.data.streets.outdoors import StreetPath, StreetWorld, make_street
 from hybridreg_ros.data.streets.passers import passers
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from hybridreg_ros.data.hybridmatch.recorded import Unit
@@ -46,6 +49,7 @@ _RAYS = (40_000, 131_072)
 _REACH_FACTOR = (0.8, 2.2)
 _DESKEW_ERROR = 0.03
 _CLEAR_M, _CLEAR_AT = 1.2, 7
+_TOP_SPEED_MPS = 28.0
 _TILTED_SHARE, _TILT_DEG = 0.2, 25.0
 _PLACES = {
     'street': 0.4,
@@ -101,18 +105,57 @@ def recorded_street(seed: int, count: int = PAIRS_A_SCENE) -> list[Sample]:
         seed: of everything.
         count: most pairs.
     """
-    rng = np.random.default_rng([seed, 5])
-    kind = str(rng.choice(list(_PLACES), p=list(_PLACES.values())))
-    world = make_street(
-        rng, kind, (0.0, 0.0), travel_m=REACH_M + 5.0, margin_m=float(rng.uniform(45.0, 80.0))
-    )
-    path = replace(world.path, ride=_ride(rng, world))
-    rig = _Rig(_lidar(rng), path, _mount(rng))
-    units = passers(rng, world.layout, path.ride)
-    times = shot_times(rng, min(GAP_S[1], REACH_M / max(path.ride.speed_mps, 0.1)))
+    rng, world, rig, units = _scene(seed)
+    longest = min(GAP_S[1], REACH_M / max(rig.path.ride.speed_mps, 0.1))
+    times = shot_times(rng, longest)
     caster = _peopled(rng, Caster(world.scene), rig, units, times)
     shots = [_shot(rng, caster, rig, t, world.loss) for t in times.tolist()]
     return recorded_samples(rng, KIND, seed, shots, caster.scene.movers, count)
+
+
+def recorded_frames(seed: int, times: F64) -> Iterator[SimulatedFrame]:
+    """Scans of one random street in a row: few movers, some metres away.
+
+    Every other seed undoes the motion during each scan and leaves its times out, as recordings
+    that were prepared for a benchmark do.
+
+    Args:
+        seed: of everything.
+        times: (N,) stamps, seconds from the start.
+    """
+    rng, world, rig, units = _scene(seed, float(times[-1]))
+    caster = _peopled(rng, Caster(world.scene), rig, units, times)
+    for time_s in times.tolist():
+        lidar = rig.lidar
+        if isinstance(lidar, PatternLidar):
+            lidar = replace(lidar, phase_s=time_s)
+        scan = lidar.scan(caster, time_s, rig.pose_at, rng, loss=world.loss)
+        prepared = seed % 2 == 1
+        yield SimulatedFrame(
+            (scan.deskewed() if prepared else scan.points).reshape(-1, 3),
+            scan.label.shape,
+            None if prepared else np.tile(scan.times, len(scan.label)),
+            time_s,
+            rig.pose_at(time_s),
+            scan.label.reshape(-1),
+            scan.instance.reshape(-1),
+            LIDAR_FRAME,
+        )
+
+
+def _scene(
+    seed: int, longest_s: float = 0.0
+) -> tuple[np.random.Generator, StreetWorld, _Rig, list[Unit]]:
+    """A street, a lidar on its way for so long, and who could be about."""
+    rng = np.random.default_rng([seed, 5])
+    kind = str(rng.choice(list(_PLACES), p=list(_PLACES.values())))
+    travel_m = max(REACH_M + 5.0, _TOP_SPEED_MPS * longest_s)
+    world = make_street(
+        rng, kind, (0.0, 0.0), travel_m=travel_m, margin_m=float(rng.uniform(45.0, 80.0))
+    )
+    path = replace(world.path, ride=_ride(rng, world))
+    rig = _Rig(_lidar(rng), path, _mount(rng))
+    return rng, world, rig, passers(rng, world.layout, path.ride)
 
 
 def _ride(rng: np.random.Generator, world: StreetWorld) -> Ride:

@@ -32,8 +32,8 @@ from hybridreg_ros.metrics.mask import MaskCounts, count, score
 from hybridreg_ros.odometry import world
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.visibility.range_image import FRONT, RangeImage, view_of
+from hybridreg_ros.replay.page.tables import text_table
 from hybridreg_ros.replay.recording import EPOCH_S
-from hybridreg_ros.replay.report_tables import text_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

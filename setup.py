@@ -31,6 +31,7 @@ setup(
         PACKAGE: [
             'py.typed',
             'model/weights/*.safetensors',
+            'odometry/dynamics/*.npz',
             'odometry/selection/*.json',
             'ros/*.xml',
             'replay/page/*.html',

@@ -275,7 +275,7 @@ class Tracker:
     ) -> Update:
         """Say what moves in a located scan, and write what stands still to the world."""
         self._since_update = 0
-        dynamic, image = self._world.moving(cloud, found)
+        dynamic, image = self._world.moving(cloud, found.fit.T_odom_sensor, stamp)
         watch.lap('dynamics')
         keyframe = self._world.add(cloud, stamp, found, dynamic, image)
         if keyframe is not None:

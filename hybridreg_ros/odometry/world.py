@@ -72,16 +72,16 @@ class World:
         self._open(cloud, pose, stamp)
         return self.keyframes.mend(pose, cloud.map_points)
 
-    def moving(self, cloud: PreprocessedScan, found: Located) -> tuple[F32, RangeImage]:
+    def moving(self, cloud: PreprocessedScan, pose: F64, stamp: int) -> tuple[F32, RangeImage]:
         """P(dynamic) of the points (N,) of a scan, and what the scan saw.
 
         Args:
             cloud: the scan.
-            found: where it is.
+            pose: (4, 4) where it is.
+            stamp: ns.
         """
-        pose = found.fit.T_odom_sensor
         image = self.sightings.draw(cloud, pose)
-        return self.dynamics.update(cloud, pose, self.map, found.uncertainty), image
+        return self.dynamics.update(cloud, pose, image, stamp), image
 
     def add(
         self, cloud: PreprocessedScan, stamp: int, found: Located, dynamic: F32, image: RangeImage
@@ -126,7 +126,7 @@ class World:
 
     def _open(self, cloud: PreprocessedScan, pose: F64, stamp: int) -> None:
         """Let the map, the past and what was seen be those of one scan."""
-        image, still = self.sightings.draw(cloud, pose), np.ones(len(cloud.points), np.bool_)
+        image, still = self.moving(cloud, pose, stamp)[1], np.ones(len(cloud.points), np.bool_)
         self._remember(cloud, pose, stamp, image, still)
         self._write(cloud, pose, stamp, still)
         self.sightings.keep(image, is_keyframe=True)

@@ -1,34 +1,68 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels on the cells of a scan."""
+"""Cells that grow with the range, their parts, and what is remembered of them."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from hybridreg_ros.odometry.dynamics import cells
-from hybridreg_ros.odometry.map.thinning import occupied
+from hybridreg_ros.core import se3
+from hybridreg_ros.odometry.dynamics.cells import Cells, Grid
+
+SIZE = 0.1
+FLOOR_M, BOX_M = -1.0, 0.8
 
 
-def a_row_of_cells(count):
-    """Cells of 1 m along x, as the classifier makes them."""
-    points = np.zeros((count, 3))
-    points[:, 0] = np.arange(count) + 0.5
-    table, slots, keys, first, _, _ = occupied(points, 1.0, np.ones(count, np.bool_))
-    return table, slots, keys, np.argsort(first)
+def scene() -> tuple[np.ndarray, np.ndarray]:
+    """A floor 3 m by 3 m and the two visible sides and the top of a box on it; which is box."""
+    flat = np.stack(np.meshgrid(np.arange(1, 4, 0.03), np.arange(-1.5, 1.5, 0.03)), -1)
+    floor = np.c_[flat.reshape(-1, 2), np.full(flat.shape[0] * flat.shape[1], FLOOR_M)]
+    under = (np.abs(floor[:, 0] - 2.4) < 0.4) & (np.abs(floor[:, 1]) < 0.4)
+    grid = np.stack(np.meshgrid(np.arange(0, BOX_M, 0.03), np.arange(0, BOX_M, 0.03)), -1)
+    a, b = grid.reshape(-1, 2).T
+    front = np.c_[np.full(len(a), 2.0), a - 0.4, FLOOR_M + 0.03 + b]
+    top = np.c_[2.0 + a, b - 0.4, np.full(len(a), FLOOR_M + 0.03 + BOX_M)]
+    points = np.concatenate([floor[~under], front, top]).astype(np.float32)
+    return points, np.arange(len(points)) >= (~under).sum()
 
 
-def test_growing_reaches_as_far_as_steps_and_budget_allow_and_changes_no_argument():
-    table, slots, keys, place = a_row_of_cells(9)
-    value, group = np.zeros(9, np.float32), np.full(9, -1, np.int32)
-    value[place[4]], group[place[4]] = 1.0, 0
-    budget, passable = np.array([3]), np.ones(9, np.bool_)
-    passable[place[3]] = False
-    given = [a.copy() for a in (value, group, budget, passable)]
-    grown, owner = cells.grow(keys, table, slots, value, group, budget, passable, 2, 0.5)
-    assert grown[place].tolist() == [0, 0, 0, 0, 1.0, 0.5, 0.25, 0, 0]
-    assert owner[place].tolist() == [-1, -1, -1, -1, 0, 0, 0, -1, -1]
-    for before, after in zip(given, (value, group, budget, passable), strict=True):
-        assert np.array_equal(before, after)
-    few, _ = cells.grow(keys, table, slots, value, group, np.array([1]), passable, 2, 0.5)
-    assert few[place].tolist() == [0, 0, 0, 0, 1.0, 0.5, 0, 0, 0]
+def cells_of(points: np.ndarray, pose: np.ndarray, grid: Grid) -> Cells:
+    return Cells.of(points, np.ones(len(points), np.int32), pose, grid)
+
+
+def test_cells_have_one_size_near_and_a_share_of_the_range_far_away() -> None:
+    grid = Grid(0.2, 0.01)
+    rays = np.random.default_rng(1).normal(size=(500, 3))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    for range_m, size_m in ((5.0, 0.2), (40.0, 0.4), (80.0, 0.8)):
+        step = 1e-4
+        near, far = grid.warped(rays * range_m), grid.warped(rays * (range_m + step))
+        np.testing.assert_allclose(np.linalg.norm(far - near, axis=1), step / size_m, rtol=1e-3)
+    np.testing.assert_allclose(grid.warped(rays * 3.0), rays * 3.0 / 0.2)
+
+
+def test_a_box_on_a_floor_is_a_part_of_its_own() -> None:
+    points, box = scene()
+    cells = cells_of(points, np.eye(4), Grid(SIZE, 0.001))
+    part, count = cells.parts()
+    assert part.min() == 0
+    assert part.max() == count - 1
+    of_box = np.bincount(cells.of_point, weights=box) / np.bincount(cells.of_point)
+    high = (of_box == 1.0) & (cells.centre[:, 2] > FLOOR_M + 2 * SIZE)
+    floor = (of_box == 0.0) & (np.abs(cells.centre[:, 1]) > 0.4 + 2 * SIZE)
+    assert not set(part[high]) & set(part[floor])
+    assert len(np.unique(part[floor])) == 1
+
+
+def test_values_are_found_again_from_another_pose() -> None:
+    rng = np.random.default_rng(2)
+    points = rng.uniform(-8.0, 8.0, (400, 3)).astype(np.float32)
+    first = se3.exp(np.array([0.3, -0.1, 0.2, 0.1, 0.0, 0.4]))
+    second = se3.exp(np.array([-0.5, 0.4, 0.1, 0.0, -0.2, 1.0]))
+    cells = cells_of(points, first, Grid(0.05, 0.001))
+    values = rng.normal(size=(len(cells), 2)).astype(np.float32)
+    there = se3.apply(se3.inverse(second) @ first, cells.centre)
+    found = cells.at(there, second, values)
+    np.testing.assert_allclose(found[:, :2], values, atol=1e-6)
+    assert (found[:, 2] == 1.0).all()
+    assert (cells.at(there + 1000.0, second, values) == 0.0).all()

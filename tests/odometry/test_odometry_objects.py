@@ -1,63 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Whole things from cells, means that thin a cloud, map points that average."""
+"""Means that thin a cloud, map points that average."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from hybridreg_ros.odometry.config import DynamicsConfig
-from hybridreg_ros.odometry.dynamics import objects, segments
-from hybridreg_ros.odometry.dynamics.classifier import Dynamics
 from hybridreg_ros.odometry.map.local_map import VoxelLevel
 from hybridreg_ros.odometry.map.thinning import first_per_voxel, means_of, occupied, voxel_of
 from hybridreg_ros.odometry.preprocess import SensorModel, certainty
-from hybridreg_ros.odometry.visibility.range_image import RangeImage, view_of
-
-SIZE = 0.1
-FLOOR_M, BOX_M = -1.0, 0.8
-
-
-def scene() -> tuple[np.ndarray, np.ndarray]:
-    """A floor 3 m by 3 m and the two visible sides and the top of a box on it; which is box."""
-    flat = np.stack(np.meshgrid(np.arange(1, 4, 0.03), np.arange(-1.5, 1.5, 0.03)), -1)
-    floor = np.c_[flat.reshape(-1, 2), np.full(flat.shape[0] * flat.shape[1], FLOOR_M)]
-    under = (np.abs(floor[:, 0] - 2.4) < 0.4) & (np.abs(floor[:, 1]) < 0.4)
-    grid = np.stack(np.meshgrid(np.arange(0, BOX_M, 0.03), np.arange(0, BOX_M, 0.03)), -1)
-    a, b = grid.reshape(-1, 2).T
-    front = np.c_[np.full(len(a), 2.0), a - 0.4, FLOOR_M + 0.03 + b]
-    top = np.c_[2.0 + a, b - 0.4, np.full(len(a), FLOOR_M + 0.03 + BOX_M)]
-    points = np.concatenate([floor[~under], front, top]).astype(np.float32)
-    return points, np.arange(len(points)) >= (~under).sum()
-
-
-def test_a_few_seeds_take_the_whole_box_and_leave_the_floor() -> None:
-    points, box = scene()
-    table, slots, keys, _, counts, cell = occupied(points, SIZE, np.ones(len(points), bool))
-    grid = objects.Cells(table, slots, keys, counts, SIZE)
-    shape = objects.Shape(*segments.normals(points, cell, *grid.index))
-    of_box = np.bincount(cell, weights=box) / np.bincount(cell)
-    config = DynamicsConfig()
-    # The upper third of the front side came; the rest of the box overlaps where it was before.
-    seed = (of_box == 1.0) & (shape.centre[:, 0] < 2.05) & (shape.centre[:, 2] > -0.5)
-    group = objects.confirmed(grid, seed, config)
-    known = ~seed
-    taken, _ = objects.complete(grid, shape, group, known, np.zeros(len(keys), bool), config)
-    moves = taken | (group >= 0)
-    inside = (of_box == 1.0) & (shape.centre[:, 2] > FLOOR_M + 0.15)
-    assert moves[inside].mean() > 0.9
-    # Of the floor, at most the rim of cells that touch the box goes with it.
-    off = np.abs(shape.centre[:, :2] - [2.4, 0.0]).max(axis=1)
-    assert not moves[(of_box == 0.0) & (off > 0.4 + 2 * SIZE)].any()
-
-
-def test_groups_that_are_too_small_are_no_things() -> None:
-    points, _ = scene()
-    table, slots, keys, _, counts, cell = occupied(points, SIZE, np.ones(len(points), bool))
-    grid = objects.Cells(table, slots, keys, counts, SIZE)
-    few = np.zeros(len(keys), bool)
-    few[np.unique(cell[:4])] = True
-    assert (objects.confirmed(grid, few, DynamicsConfig(min_seed_cells=20)) == -1).all()
 
 
 def test_means_are_those_of_the_points_in_each_cube() -> None:
@@ -104,17 +55,3 @@ def test_far_points_of_a_depth_camera_count_less_and_those_of_a_lidar_do_not() -
     assert depth[0] > 0.9
     assert depth[1] < 0.05
     assert (certainty(points, SensorModel('lidar', 0.3, 0.5, 100.0)) == 1.0).all()
-
-
-def test_the_past_is_kept_close_at_first_and_evenly_later() -> None:
-    config = DynamicsConfig(memory=4, spacing_s=0.5)
-    dynamics = Dynamics(config, SensorModel('depth', 0.1, 0.2, 8.0))
-    points = scene()[0]
-    image = RangeImage(points, view_of(points, 'lidar'), np.eye(4))
-    for k in range(40):
-        dynamics.remember(image, points[:1], k * 100_000_000)
-        if k == 3:
-            assert len([past.stamp for past in dynamics._past]) == 4
-    gaps = np.diff([past.stamp for past in dynamics._past])
-    assert len(gaps) == 3
-    assert (gaps >= 400_000_000).all()

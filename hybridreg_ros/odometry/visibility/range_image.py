@@ -25,6 +25,8 @@ _MOST_POINTS = 150_000
 _POINTS_PER_PIXEL = 2
 _FINEST_RAD = np.deg2rad(0.4)
 _COARSEST_RAD = np.deg2rad(4.0)
+_HIDDEN = 2.0
+"""Standard deviations behind a surface at which it hides a point."""
 _FULL_TURN = 2.0 * np.pi
 
 
@@ -141,7 +143,6 @@ class RangeImage:
         T_odom_sensor: NDArray[np.float64],
         tolerance_m: float,
         tolerance_share: float,
-        strict: bool = False,
     ) -> NDArray[np.int8]:
         """Where points of another scan stand against this one.
 
@@ -150,8 +151,6 @@ class RangeImage:
             T_odom_sensor: (4, 4) pose of the other scan.
             tolerance_m: slack in range, metres.
             tolerance_share: further slack as a share of the range.
-            strict: take the rim of the view, where the slope of a surface cannot be told, as
-                unseen.
 
         Returns:
             (N,) int8 of UNSEEN, FRONT, ON, BEHIND.
@@ -167,11 +166,49 @@ class RangeImage:
             self._far,
             tolerance_m,
             tolerance_share,
-            self._inside,
-            strict,
             out,
         )
         return out
+
+    def look(
+        self,
+        points: NDArray[np.float64],
+        T_odom_sensor: NDArray[np.float64],
+        now: RangeImage,
+        noise: tuple[float, float, float],
+        age_s: float,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """How far points of a later scan are off what this one saw, and if that has gone since.
+
+        Args:
+            points: (N, 3) float64, the later scan's sensor frame, metres.
+            T_odom_sensor: (4, 4) pose of the later scan.
+            now: what the later scan saw, in the same view.
+            noise: standard deviation of a range: metres, per metre, and per square metre.
+            age_s: seconds between the scans.
+
+        Returns:
+            margin: (N,) standard deviations before (+) or behind (-) the surface; 0 on it, NaN in
+                directions not seen.
+            speed: (N,) m/s from the surface that hid the point to the point, where the later scan
+                sees through that surface; else -1.
+        """
+        T = se3.inverse(self.T_odom_sensor) @ T_odom_sensor
+        margin = np.empty(len(points), np.float32)
+        speed = np.empty(len(points), np.float32)
+        _look(
+            se3.apply(T, points),
+            T[:3, :3].T.copy(),
+            T[:3, 3].copy(),
+            *_geometry(self.view),
+            (self._near, self._far, self._inside),
+            (now._near, now._far),
+            noise,
+            age_s,
+            margin,
+            speed,
+        )
+        return margin, speed
 
 
 def _inside(filled: NDArray[np.bool_], wraps: bool) -> NDArray[np.bool_]:
@@ -258,8 +295,6 @@ def _stand(  # type: ignore[no-untyped-def]
     far,
     slack,
     share,
-    inside,
-    strict,
     out,
 ):
     height, width = near.shape
@@ -281,7 +316,7 @@ def _stand(  # type: ignore[no-untyped-def]
         if column < 0 or column >= width:
             continue
         high = far[row, column]
-        if high == 0.0 or (strict and not inside[row, column]):
+        if high == 0.0:
             continue
         low = near[row, column]
         r = np.sqrt(flat * flat + u * u)
@@ -292,3 +327,42 @@ def _stand(  # type: ignore[no-untyped-def]
             out[i] = BEHIND
         else:
             out[i] = ON
+
+
+@compiled
+def _look(  # type: ignore[no-untyped-def]
+    points, R, t, basis, azimuth, elevation, step, wraps, then, now, noise, age_s, margin, speed
+):
+    """The kernel of `RangeImage.look`; points in the sensor frame of the image, R its rotation."""
+    near, far, inside = then
+    height, width = near.shape
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        margin[i], speed[i] = np.nan, -1.0
+        r, column, row = _pixel_of(x, y, z, basis, azimuth, elevation, step)
+        if wraps:
+            column %= width
+        if column < 0 or row < 0 or column >= width or row >= height or not inside[row, column]:
+            continue
+        low, high = near[row, column], far[row, column]
+        if high == 0.0:
+            continue
+        sigma = noise[0] + noise[1] * r + noise[2] * r * r
+        margin[i] = max(low - r, 0.0) / sigma - max(r - high, 0.0) / sigma
+        if margin[i] >= -_HIDDEN:
+            continue
+        share = high / r
+        x, y, z = x * share - t[0], y * share - t[1], z * share - t[2]
+        q, column, row = _pixel_of(
+            R[0, 0] * x + R[0, 1] * y + R[0, 2] * z,
+            R[1, 0] * x + R[1, 1] * y + R[1, 2] * z,
+            R[2, 0] * x + R[2, 1] * y + R[2, 2] * z,
+            basis, azimuth, elevation, step,
+        )  # fmt: skip
+        if wraps:
+            column %= width
+        if column < 0 or row < 0 or column >= width or row >= height or now[1][row, column] == 0.0:
+            continue
+        sigma = noise[0] + noise[1] * q + noise[2] * q * q
+        if now[0][row, column] - q > _HIDDEN * sigma:
+            speed[i] = (r - high) / age_s

@@ -1,0 +1,114 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""From cells to things: the evidence about each cell beside that of its part and surroundings."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybridreg_ros.core.jit import compiled
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hybridreg_ros.odometry.dynamics.cells import Cells
+
+    F32 = NDArray[np.float32]
+
+_OWN = [0, 1, 4, 6, 8, 11, 12, 14, 15, 17, 19, 21, 22, 23]
+"""Columns of the evidence about the cell itself that are passed on."""
+_PART = 14
+COLUMNS = 6 + len(_OWN) + _PART
+
+
+def context_of(cells: Cells, evidence: F32, odds: F32, before: F32, kind: str) -> F32:
+    """Each cell with the part that it belongs to.
+
+    Args:
+        cells: the cells of a scan.
+        evidence: (M, E) by `evidence_of`.
+        odds: (M,) log odds that follow from it.
+        before: (M, 3) log odds and number of scans that earlier scans tell, and if they tell any.
+        kind: depth or lidar.
+
+    Returns:
+        (M, COLUMNS) float32. 0 to 2: log odds of the cell, mean and largest around it; then what
+        is passed on of its evidence; log odds before, logarithm of the number of scans, whether
+        there are any; of its part: the sums of `_pool`, largest log odds, logarithms of the
+        number of cells and of its size along two level axes, shorter first, and upwards (depth:
+        all three by length), and, of a lidar, of the number of points.
+    """
+    part, count = cells.parts()
+    mean, peak = _around(cells.start, cells.other, odds, cells.counts)
+    sums, number, points, top, low, high = _pool(
+        part, count, cells.counts, odds, evidence, cells.centre
+    )
+    size = high - low
+    axes = 3 if kind == 'depth' else 2
+    size[:, :axes] = np.sort(size[:, :axes], axis=1)
+    of_part = np.empty((count, _PART), np.float32)
+    of_part[:, :8], of_part[:, 8] = sums, top
+    of_part[:, 9] = np.log(number)
+    of_part[:, 10:13] = np.log(size + 0.05)
+    of_part[:, 13] = np.log(points) if kind == 'lidar' else 0.0
+    before = before.copy()
+    before[:, 1] = np.log1p(before[:, 1])
+    own = np.column_stack([odds, mean, peak, evidence[:, _OWN], before])
+    return np.concatenate([own, of_part[part]], axis=1).astype(np.float32)
+
+
+@compiled
+def _around(start, other, value, weight):  # type: ignore[no-untyped-def]
+    """Weighted mean and largest value (M,) of each cell and those around it."""
+    mean, peak = np.empty(len(value), np.float32), np.empty(len(value), np.float32)
+    for cell in range(len(value)):
+        total, heavy, most = 0.0, 0.0, -np.inf
+        for k in range(start[cell], start[cell + 1]):
+            total += value[other[k]] * weight[other[k]]
+            heavy += weight[other[k]]
+            most = max(most, value[other[k]])
+        mean[cell], peak[cell] = total / heavy, most
+    return mean, peak
+
+
+@compiled
+def _pool(part, count, weight, odds, evidence, centre):  # type: ignore[no-untyped-def]
+    """What the cells of each part say together, each weighted by its points.
+
+    Returns:
+        (P, 8) means of: log odds; their probability; whether an earlier scan looked at the place;
+        probability where one did; looks that saw a surface; that saw it free; share of looks whose
+        hiding thing has gone; its speed. Then (P,) number of cells, of points,
+        and largest log odds, and (P, 3) lower and upper ends, metres.
+    """
+    sums = np.zeros((count, 8))
+    number, points = np.zeros(count), np.zeros(count)
+    known, gone = np.full(count, 1e-6), np.full(count, 1e-9)
+    top = np.full(count, -np.inf)
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    for cell in range(len(part)):
+        p, w = part[cell], weight[cell]
+        probability = 1.0 / (1.0 + np.exp(-odds[cell]))
+        looked = 1.0 if evidence[cell, 3] + evidence[cell, 4] > 0.0 else 0.0
+        sums[p, 0] += w * odds[cell]
+        sums[p, 1] += w * probability
+        sums[p, 2] += w * looked
+        sums[p, 3] += w * looked * probability
+        sums[p, 4] += w * evidence[cell, 4]
+        sums[p, 5] += w * evidence[cell, 3]
+        sums[p, 6] += w * evidence[cell, 11] * evidence[cell, 5]
+        sums[p, 7] += w * evidence[cell, 11] * evidence[cell, 12]
+        known[p] += w * looked
+        gone[p] += w * evidence[cell, 11]
+        number[p] += 1.0
+        points[p] += w
+        top[p] = max(top[p], odds[cell])
+        for axis in range(3):
+            low[p, axis] = min(low[p, axis], centre[cell, axis])
+            high[p, axis] = max(high[p, axis], centre[cell, axis])
+    for p in range(count):
+        for k in range(8):
+            sums[p, k] /= known[p] if k == 3 else gone[p] if k == 7 else points[p]
+    return sums, number, points, top, low, high

@@ -275,7 +275,12 @@ class Tracker:
     ) -> Update:
         """Say what moves in a located scan, and write what stands still to the world."""
         self._since_update = 0
-        dynamic, image = self._world.moving(cloud, found.fit.T_odom_sensor, stamp)
+        pose, static = found.fit.T_odom_sensor, None
+        keyframe = self._world.keyframes.to_match(pose)
+        if self._learned is not None and encoded is not None and keyframe is not None:
+            mask = self._learned.point_mask(encoded, keyframe, pose)
+            static = None if mask is None else mask.static
+        dynamic, image = self._world.moving(cloud, pose, stamp, static)
         watch.lap('dynamics')
         keyframe = self._world.add(cloud, stamp, found, dynamic, image)
         if keyframe is not None:

@@ -72,16 +72,19 @@ class World:
         self._open(cloud, pose, stamp)
         return self.keyframes.mend(pose, cloud.map_points)
 
-    def moving(self, cloud: PreprocessedScan, pose: F64, stamp: int) -> tuple[F32, RangeImage]:
+    def moving(
+        self, cloud: PreprocessedScan, pose: F64, stamp: int, static: F32 | None = None
+    ) -> tuple[F32, RangeImage]:
         """P(dynamic) of the points (N,) of a scan, and what the scan saw.
 
         Args:
             cloud: the scan.
             pose: (4, 4) where it is.
             stamp: ns.
+            static: (M,) P(static) of its thinned points by the network; None = not asked.
         """
         image = self.sightings.draw(cloud, pose)
-        return self.dynamics.update(cloud, pose, image, stamp), image
+        return self.dynamics.update(cloud, pose, image, stamp, static), image
 
     def add(
         self, cloud: PreprocessedScan, stamp: int, found: Located, dynamic: F32, image: RangeImage

@@ -78,7 +78,12 @@ class Dynamics:
         return self._last.cells.at(points, T_odom_sensor, self._last.moving)[:, 0]
 
     def update(
-        self, cloud: PreprocessedScan, T_odom_sensor: F64, image: RangeImage, stamp: int
+        self,
+        cloud: PreprocessedScan,
+        T_odom_sensor: F64,
+        image: RangeImage,
+        stamp: int,
+        static: F32 | None = None,
     ) -> F32:
         """P(dynamic) of every point of a scan at its pose.
 
@@ -87,6 +92,7 @@ class Dynamics:
             T_odom_sensor: (4, 4) its pose.
             image: what it saw.
             stamp: ns.
+            static: (M,) P(static) of its thinned points by the network; None = not asked.
 
         Returns:
             (N,) float32 in [0, 1]; 0 outside the range limits, in the first scan, or when it is
@@ -103,7 +109,8 @@ class Dynamics:
         if evidence is not None:
             odds = self._models.alone(evidence)
             context = context_of(cells, evidence, odds, before, self._kind)
-            moving = (1.0 / (1.0 + np.exp(-self._models.in_context(context)))).astype(np.float32)
+            final = fused(self._models.in_context(context), cells, static, self._kind)
+            moving = (1.0 / (1.0 + np.exp(-final))).astype(np.float32)
         self._last = _Last(cells, remembered(before, odds), moving[:, None])
         of_cube = np.where(cells.of_point >= 0, moving[cells.of_point], np.float32(0.0))
         return np.where(cloud.cube >= 0, of_cube[cloud.cube], np.float32(0.0))
@@ -135,6 +142,27 @@ class Dynamics:
         """Forget everything."""
         self._past.clear()
         self._last = None
+
+
+_FUSION = {'depth': (1.0, 0.0, 0.0), 'lidar': (1.0, 0.0, 0.0)}
+
+
+def fused(odds: F32, cells: Cells, static: F32 | None, kind: str) -> F32:
+    """Log odds (M,) of cells with what the network says of their points."""
+    if static is None:
+        return odds
+    own, network, offset = _FUSION[kind]
+    return np.float32(own) * odds + np.float32(network) * said(cells, static) + np.float32(offset)
+
+
+def said(cells: Cells, static: F32) -> F32:
+    """Mean log odds (M,) of motion over the points of each cell, by P(static) of the points."""
+    sure = np.clip(static, 0.002, 0.998)
+    inside = cells.of_point >= 0
+    odds = np.log((1.0 - sure) / sure)[inside]
+    total = np.bincount(cells.of_point[inside], odds, len(cells))
+    count = np.bincount(cells.of_point[inside], minlength=len(cells))
+    return (total / np.maximum(count, 1)).astype(np.float32)
 
 
 def remembered(before: F32, odds: F32) -> F32:

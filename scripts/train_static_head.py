@@ -3,7 +3,7 @@
 r"""Trains the static head of given weights on generated pairs; the network itself stays as it is.
 
     for kind in room-train street-train street-recorded room-recorded; do
-        hybridreg generate $kind --pairs 400 --seed 2400000 --out data/head/$kind
+        hybridreg generate $kind --pairs 600 --seed 2400000 --out data/head/$kind
     done
     python scripts/train_static_head.py data/head/* --out hybridreg-compact.safetensors
 

@@ -144,7 +144,7 @@ class Dynamics:
         self._last = None
 
 
-_FUSION = {'depth': (1.0, 0.0, 0.0), 'lidar': (1.0, 0.0, 0.0)}
+_FUSION = {'depth': (0.70, 0.46, 0.66), 'lidar': (0.74, 0.42, 0.35)}
 
 
 def fused(odds: F32, cells: Cells, static: F32 | None, kind: str) -> F32:

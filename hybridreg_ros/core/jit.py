@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 PACKAGE = Path(__file__).resolve().parents[1]
+ALL = 'all'
+"""Part of the kernels that is every one of them."""
 HASH_DIGITS = 16
 _IMPORT = re.compile(r'^from (hybridreg_ros[\w.]*) import (\([^)]*\)|[^\n(]+)', re.MULTILINE)
 _HAS_KERNELS = re.compile(r'^from hybridreg_ros\.core\.jit import .*\bcompiled', re.MULTILINE)
@@ -87,20 +89,21 @@ def cache_folder() -> Path:
     return spare
 
 
-def is_filled() -> bool:
-    """Whether `mark_filled` was called for these sources as they lie here: all is compiled."""
-    return _mark().exists()
+def is_filled(part: str = ALL) -> bool:
+    """Whether `mark_filled` was called for a part, or for all, of the sources as they lie here."""
+    return any(_mark(name).exists() for name in (part, ALL))
 
 
-def mark_filled() -> None:
-    """Note that every kernel in use was compiled."""
-    _mark().touch()
+def mark_filled(part: str = ALL) -> None:
+    """Note that every kernel of a part was compiled."""
+    _mark(part).touch()
 
 
-def _mark() -> Path:
+def _mark(part: str) -> Path:
     """The note of `mark_filled`; numba drops the code of a file that was written again."""
     times = ' '.join(str(p.stat().st_mtime_ns) for p in kernel_sources())
-    return cache_folder() / f'filled-{hashlib.sha256(times.encode()).hexdigest()[:HASH_DIGITS]}'
+    key = hashlib.sha256(times.encode()).hexdigest()[:HASH_DIGITS]
+    return cache_folder() / f'filled-{part}-{key}'
 
 
 def kernel_sources() -> list[Path]:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 SCANS = 4
 """Scans that each front end sees: the third is the first with two before it."""
+WITHOUT_NETWORK = 'kiss-icp'
+"""Part of the kernels that runs without a network."""
 _HALF_M = np.array([6.0, 4.0, 1.5])
 
 
@@ -36,10 +38,11 @@ def warm_up(config: OdometryConfig, model: Any) -> Iterator[str]:
                 name = 'network' if branch is not None else 'kiss-icp'
                 yield f'{name}, {"lidar" if timed else "depth camera"}, scan {k + 1} of {SCANS}'
                 front_end.step(_scan(k, timed))
-    if hasattr(model, 'register'):
+    whole = hasattr(model, 'register')
+    if whole:
         yield 'registration of two clouds'
         model.register(_scan(0, False).points, _scan(3, False).points, voxel_size_m=0.3)
-    jit.mark_filled()
+    jit.mark_filled(jit.ALL if whole else WITHOUT_NETWORK)
 
 
 def _scan(k: int, timed: bool) -> Scan:

@@ -13,7 +13,7 @@ from hybridreg_ros.core import jit
 from hybridreg_ros.core.errors import HybridRegError, WeightsError
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.motion.prediction import Motion
-from hybridreg_ros.odometry.warm_up import warm_up
+from hybridreg_ros.odometry.warm_up import WITHOUT_NETWORK, warm_up
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -67,7 +67,7 @@ def build_front_end(
             if weights:
                 raise
             text, has_weights = str(error), False
-    filled = jit.is_filled()
+    filled = jit.is_filled(WITHOUT_NETWORK if model is None else jit.ALL)
     if not filled:
         say(
             'compiling kernels, once after an installation or update (about a minute; '

@@ -110,3 +110,11 @@ def test_a_file_written_again_or_elsewhere_is_not_taken_for_compiled(tmp_path):
         assert run(tmp_path / name, code) == expected
     os.utime(copies[0] / 'core' / 'eigen.py', (1.0, 1.0))
     assert run(tmp_path / 'one', ask) == 'False'
+
+
+def test_a_part_that_was_compiled_is_not_the_whole(tmp_path, monkeypatch):
+    monkeypatch.setattr(jit, 'cache_folder', lambda: tmp_path)
+    jit.mark_filled('a part')
+    assert [jit.is_filled(part) for part in ('a part', 'another', jit.ALL)] == [True, False, False]
+    jit.mark_filled()
+    assert jit.is_filled('another')

@@ -275,12 +275,8 @@ class Tracker:
     ) -> Update:
         """Say what moves in a located scan, and write what stands still to the world."""
         self._since_update = 0
-        pose, static = found.fit.T_odom_sensor, None
-        keyframe = self._world.keyframes.to_match(pose)
-        if self._learned is not None and encoded is not None and keyframe is not None:
-            mask = self._learned.point_mask(encoded, keyframe, pose)
-            static = None if mask is None else mask.static
-        dynamic, image = self._world.moving(cloud, pose, stamp, static)
+        pose = found.fit.T_odom_sensor
+        dynamic, image = self._world.moving(cloud, pose, stamp, self._static(encoded, pose))
         watch.lap('dynamics')
         keyframe = self._world.add(cloud, stamp, found, dynamic, image)
         if keyframe is not None:
@@ -289,6 +285,14 @@ class Tracker:
                 give_back()  # what the network took; after every scan it costs a tenth of a step
         watch.lap('map')
         return Update(dynamic, keyframe is not None, self._keyframe_id)
+
+    def _static(self, encoded: Encoded | None, pose: F64) -> NDArray[np.float32] | None:
+        """P(static) of a scan's thinned points by the network, against the nearest keyframe."""
+        keyframe = self._world.keyframes.to_match(pose)
+        if self._learned is None or encoded is None or keyframe is None:
+            return None
+        mask = self._learned.point_mask(encoded, keyframe, pose)
+        return None if mask is None else mask.static
 
     def _pass_over(self, cloud: PreprocessedScan, found: Located, watch: Watch) -> Update:
         """Say what moves by what is remembered of its places; the world learns nothing."""

@@ -145,14 +145,24 @@ class Dynamics:
 
 
 _FUSION = {'depth': (0.70, 0.46, 0.66), 'lidar': (0.74, 0.42, 0.35)}
+"""Weights of the log odds of the models and of the network, and an offset: logistic fits on
+simulated sequences (docs/lab/2026-11-29-learned-evidence.md)."""
 
 
 def fused(odds: F32, cells: Cells, static: F32 | None, kind: str) -> F32:
-    """Log odds (M,) of cells with what the network says of their points."""
+    """Log odds (M,) of motion of cells, the network's opinion included.
+
+    Args:
+        odds: (M,) by the models alone.
+        cells: the cells.
+        static: (N,) P(static) of the points they hold by the network; None = not asked.
+        kind: depth or lidar.
+    """
     if static is None:
         return odds
     own, network, offset = _FUSION[kind]
-    return np.float32(own) * odds + np.float32(network) * said(cells, static) + np.float32(offset)
+    both = own * odds + network * said(cells, static) + offset
+    return both.astype(np.float32)
 
 
 def said(cells: Cells, static: F32) -> F32:

@@ -94,11 +94,22 @@ class Cells:
         """Cells of thinned points (N, 3), sensor frame, each the mean of so many (N,)."""
         everywhere = np.ones(len(points), np.bool_)
         table, slots, keys, _, _, cell = occupied(grid.warped(points), 1.0, everywhere)
-        around = segments.neighbours(keys, table, slots)
-        total, centre, normal, flat = segments.normals(points, counts, cell, *around)
+        start, other = segments.neighbours(keys, table, slots)
+        total, centre, normal, flat = segments.normals(points, counts, cell, start, other)
         size = np.maximum(grid.near_m, grid.slope * np.linalg.norm(centre, axis=1))
         return cls(
-            grid, T_odom_sensor, table, slots, *around, cell, total, size, centre, normal, flat
+            grid,
+            T_odom_sensor,
+            table,
+            slots,
+            start,
+            other,
+            cell,
+            total,
+            size,
+            centre,
+            normal,
+            flat,
         )
 
     def __len__(self) -> int:

@@ -107,12 +107,14 @@ class Recording(Dynamics):
     noted: list[tuple[Cells, F32 | None, NDArray[np.int32]]] = []  # noqa: RUF012
     shake: Shake
 
-    def update(self, cloud: Any, T_odom_sensor: Any, image: Any, stamp: int) -> F32:
+    def update(
+        self, cloud: Any, T_odom_sensor: Any, image: Any, stamp: int, static: F32 | None = None
+    ) -> F32:
         """As the mask does it."""
         T_odom_sensor = T_odom_sensor @ self.shake.pose(self._kind)
         self._image = copy(image)
         self._image.T_odom_sensor = T_odom_sensor
-        return super().update(cloud, T_odom_sensor, self._image, stamp)
+        return super().update(cloud, T_odom_sensor, self._image, stamp, static)
 
     def remember(self, image: Any, points: F32, stamp: int) -> None:
         """As the mask does it."""

@@ -259,7 +259,7 @@ class Tracker:
         told = self._locator.confidence_of(found)
         estimate = self._estimate(pose, reason, told.confidence, nothing(cloud), False)
         self._since_update += 1
-        update = partial(self._update, cloud, encoded, stamp, found)
+        update = partial(self._update, cloud, encoded, stamp, found, effort.asks_mask)
         self._becomes_keyframe = self._world.is_due(found, stamp)
         if self._since_update < effort.update_every and not self._becomes_keyframe:
             update = partial(self._pass_over, cloud, found)
@@ -271,12 +271,14 @@ class Tracker:
         encoded: Encoded | None,
         stamp: int,
         found: Located,
+        asks_mask: bool,
         watch: Watch,
     ) -> Update:
         """Say what moves in a located scan, and write what stands still to the world."""
         self._since_update = 0
         pose = found.fit.T_odom_sensor
-        dynamic, image = self._world.moving(cloud, pose, stamp, self._static(encoded, pose))
+        static = self._static(encoded, pose) if asks_mask else None
+        dynamic, image = self._world.moving(cloud, pose, stamp, static)
         watch.lap('dynamics')
         keyframe = self._world.add(cloud, stamp, found, dynamic, image)
         if keyframe is not None:

@@ -143,6 +143,7 @@ class RangeImage:
         T_odom_sensor: NDArray[np.float64],
         tolerance_m: float,
         tolerance_share: float,
+        strict: bool = False,
     ) -> NDArray[np.int8]:
         """Where points of another scan stand against this one.
 
@@ -151,6 +152,8 @@ class RangeImage:
             T_odom_sensor: (4, 4) pose of the other scan.
             tolerance_m: slack in range, metres.
             tolerance_share: further slack as a share of the range.
+            strict: take the rim of the view, where the slope of a surface cannot be told, as
+                unseen.
 
         Returns:
             (N,) int8 of UNSEEN, FRONT, ON, BEHIND.
@@ -166,6 +169,8 @@ class RangeImage:
             self._far,
             tolerance_m,
             tolerance_share,
+            self._inside,
+            strict,
             out,
         )
         return out
@@ -295,6 +300,8 @@ def _stand(  # type: ignore[no-untyped-def]
     far,
     slack,
     share,
+    inside,
+    strict,
     out,
 ):
     height, width = near.shape
@@ -316,7 +323,7 @@ def _stand(  # type: ignore[no-untyped-def]
         if column < 0 or column >= width:
             continue
         high = far[row, column]
-        if high == 0.0:
+        if high == 0.0 or (strict and not inside[row, column]):
             continue
         low = near[row, column]
         r = np.sqrt(flat * flat + u * u)

@@ -168,6 +168,9 @@ def _register(commands: Commands) -> None:
     )
     _columns(p)
     p.add_argument('--no-refine', action='store_true', help='skip the final refinement')
+    p.add_argument(
+        '--out', type=Path, metavar='FILE', help='write the aligned source (.ply, .pcd)'
+    )
     _weights(p)
 
 

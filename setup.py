@@ -68,6 +68,7 @@ setup(
             'tqdm',
             'pillow',
             'plotly>=6,<8',
+            'argcomplete>=3',
         ],
         'data': ['embreex>=4', 'trimesh>=4.5', 'matplotlib>=3.8', 'pillow'],
         'ros': [

@@ -88,7 +88,9 @@ def _command(commands: Commands, name: str, body: str, text: str) -> argparse.Ar
         name, help=text, description=text[0].upper() + text[1:] + '.'
     )
     parser.set_defaults(body=body)
-    parser.add_argument('--json', type=Path, metavar='FILE', help='write the result as JSON')
+    parser.add_argument(
+        '--json', type=Path, metavar='FILE', help='write the result as JSON (-: print it)'
+    )
     parser.add_argument('-v', '--verbose', action='store_true', help='log what is being done')
     return parser
 
@@ -166,6 +168,9 @@ def _register(commands: Commands) -> None:
     )
     _columns(p)
     p.add_argument('--no-refine', action='store_true', help='skip the final refinement')
+    p.add_argument(
+        '--out', type=Path, metavar='FILE', help='write the aligned source (.ply, .pcd)'
+    )
     _weights(p)
 
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.cli.common import write_result
-from hybridreg_ros.data.loaders.clouds import read_cloud
+from hybridreg_ros.core import se3
+from hybridreg_ros.data.loaders.clouds import read_cloud, write_cloud
 from hybridreg_ros.model.register import HybridReg
 
 if TYPE_CHECKING:
@@ -33,6 +34,10 @@ def run(args: argparse.Namespace) -> int:
     print(f'milliseconds     {stages}')
     if result.attempts > 1:
         print(f'attempts         {result.attempts}, because the first one left doubt')
+    if args.out is not None:
+        args.out.parent.mkdir(parents=True, exist_ok=True)
+        write_cloud(args.out, se3.apply(T, source.astype(np.float64)))
+        print(f'written          {args.out}, the source in the frame of the target')
     write_result(
         args,
         {

@@ -15,6 +15,7 @@ from hybridreg_ros.core.errors import BagError, ConfigError
 from hybridreg_ros.core.progress import bar
 from hybridreg_ros.replay import session
 from hybridreg_ros.replay.page import tables
+from hybridreg_ros.replay.page.report import check_packages
 from hybridreg_ros.replay.session import odometry_config
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ def run(args: argparse.Namespace) -> int:
         )
     jobs = _jobs(args)
     fleet.refuse(jobs, args.overwrite, args.resume)
+    check_packages()
     if args.live:
         from hybridreg_ros.cli.runs.live import LiveOptions, check_options, replay_live
 

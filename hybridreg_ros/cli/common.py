@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -13,11 +14,14 @@ if TYPE_CHECKING:
 
 
 def write_result(args: argparse.Namespace, result: Any) -> None:
-    """Write the result where --json says."""
+    """Write the result where --json says; '-' prints it, and all other text goes to stderr."""
     if args.json is not None:
-        from hybridreg_ros.replay.outputs import write_json
+        from hybridreg_ros.replay.outputs import plain, write_json
 
-        write_json(args.json, result)
+        if str(args.json) == '-':
+            print(json.dumps(plain(result), indent=1, allow_nan=False), file=args.stdout)
+        else:
+            write_json(args.json, result)
 
 
 def budget_of(args: argparse.Namespace) -> Budget | None:

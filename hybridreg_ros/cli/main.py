@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import logging
 import os
@@ -30,6 +31,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         0 on success, 2 after an error (one line on stderr), 130 after Ctrl-C.
     """
     parser = build_parser()
+    if '_ARGCOMPLETE' in os.environ:  # the shell asks what could come next
+        import argcomplete
+
+        argcomplete.autocomplete(parser)
     try:
         args = parser.parse_args(argv)
     except SystemExit as stop:
@@ -43,7 +48,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         # Threads on numpy's small matrices cost a quarter of a registration; before numpy loads.
         os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
         body = importlib.import_module(f'hybridreg_ros.cli.{args.body}')
-        code: int = body.run(args)
+        args.stdout = sys.stdout
+        with contextlib.redirect_stdout(sys.stderr if str(args.json) == '-' else sys.stdout):
+            code: int = body.run(args)
         sys.stdout.flush()
         return code
     except KeyboardInterrupt:

@@ -4,16 +4,22 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
 import subprocess
 import sys
 import time
+from typing import TYPE_CHECKING
 
 import pytest
 import yaml
 
 from hybridreg_ros.cli.arguments import build_parser
 from hybridreg_ros.cli.main import main
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 COMMANDS = (
     'register',
@@ -121,3 +127,39 @@ def test_parser_knows_every_body() -> None:
     for command in choices.values():
         body = command.get_default('body')
         assert importlib.util.find_spec(f'hybridreg_ros.cli.{body}'), body
+
+
+def test_json_to_standard_output(capsys: pytest.CaptureFixture[str]) -> None:
+    """With --json -, nothing but JSON is on standard output."""
+    assert main(['dump-config', '--json', '-']) == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out)
+    assert 'voxel_size_m' in said.err
+
+
+def test_missing_packages_are_found_before_the_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from hybridreg_ros.replay.page import report
+
+    monkeypatch.setattr(report, 'find_spec', lambda name: None)
+    assert main(['replay', str(tmp_path / 'gone.mcap'), '--out', str(tmp_path / 'o')]) == 2
+    assert 'reports need PIL, evo, plotly: pip install' in capsys.readouterr().err
+    assert not (tmp_path / 'o').exists()
+
+
+def test_shell_completion() -> None:
+    pytest.importorskip('argcomplete')
+    line = 'hybridreg replay --over'
+    environment = {
+        **os.environ,
+        '_ARGCOMPLETE': '1',
+        '_ARGCOMPLETE_SUPPRESS_SPACE': '1',
+        'COMP_LINE': line,
+        'COMP_POINT': str(len(line)),
+    }
+    command = f'{sys.executable} -m hybridreg_ros.cli.main 8>&1'
+    done = subprocess.run(
+        ['bash', '-c', command], env=environment, capture_output=True, text=True, check=True
+    )
+    assert done.stdout == '--overwrite'

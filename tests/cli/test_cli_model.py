@@ -12,6 +12,7 @@ import pytest
 from tiny_bags import room_points
 
 from hybridreg_ros.cli.main import main
+from hybridreg_ros.data.loaders.clouds import read_cloud
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -44,7 +45,9 @@ def test_register(weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[s
     np.save(tmp_path / 'b.npy', points + np.float32(0.1))
     arguments = ['register', str(tmp_path / 'a.npy'), str(tmp_path / 'b.npy')]
     result = tmp_path / 'r.json'
-    assert main([*arguments, '--weights', str(weights), '--json', str(result)]) == 0
+    moved = tmp_path / 'out' / 'aligned.ply'
+    arguments += ['--weights', str(weights), '--json', str(result), '--out', str(moved)]
+    assert main(arguments) == 0
     text = capsys.readouterr().out
     assert 'T_target_source' in text
     assert 'confidence' in text
@@ -53,6 +56,7 @@ def test_register(weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[s
     np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-6)
     assert 0.0 <= r['confidence'] <= 1.0
     assert {'encode', 'network', 'refine', 'total'} <= set(r['timings_s'])
+    np.testing.assert_allclose(read_cloud(moved), points @ T[:3, :3].T + T[:3, 3], atol=1e-5)
 
 
 def test_register_refuses(

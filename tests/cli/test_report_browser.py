@@ -52,7 +52,7 @@ def chromium(tmp_path: Path, page: Path, *arguments: str) -> subprocess.Complete
     profile = tmp_path / 'profile'
     shutil.rmtree(profile, ignore_errors=True)
     command = [str(CHROMIUM), *FLAGS, f'--user-data-dir={profile}', *arguments, page.as_uri()]
-    return subprocess.run(command, capture_output=True, text=True, timeout=90, check=True)
+    return subprocess.run(command, capture_output=True, text=True, timeout=240, check=True)
 
 
 def probe(page: Path, tmp_path: Path, script: str, *arguments: str) -> dict[str, Any]:

@@ -63,12 +63,25 @@ def plotly_script() -> str:
     """The text of the library that draws the 3D view.
 
     Raises:
-        DependencyError: plotly is not installed.
+        DependencyError: a package that a report needs is not installed.
     """
-    found = find_spec('plotly')
-    if found is None or found.origin is None:
-        raise DependencyError("reports need plotly: pip install 'hybridreg_ros[replay]'")
-    return (Path(found.origin).parent / 'package_data' / 'plotly.min.js').read_text('utf-8')
+    return (check_packages() / 'package_data' / 'plotly.min.js').read_text('utf-8')
+
+
+def check_packages() -> Path:
+    """Find what a report needs before the work begins; the folder of plotly.
+
+    Raises:
+        DependencyError: a package is not installed.
+    """
+    found = {name: find_spec(name) for name in ('PIL', 'evo', 'plotly')}
+    missing = [name for name, spec in found.items() if spec is None]
+    plotly = found['plotly']
+    if missing or plotly is None or plotly.origin is None:
+        raise DependencyError(
+            f"reports need {', '.join(missing)}: pip install 'hybridreg_ros[replay]'"
+        )
+    return Path(plotly.origin).parent
 
 
 def _errors(run: ReportRun) -> FrameErrors | None:

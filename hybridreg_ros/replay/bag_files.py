@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import struct
 from collections import Counter
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hybridreg_ros.core.errors import BagError, DependencyError
 
@@ -204,71 +204,39 @@ class RosbagsFile:
         BagError: it cannot be opened.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.recovered: int | None = None
-        self.counts: Counter[tuple[str, str]] = Counter()
-        self.definitions: dict[str, str] = {}
-        try:
-            self._reader = Reader(path)
-            self._reader.open()
-        except DAMAGE as error:
-            raise BagError(_sqlite_message(path, one_line(error))) from None
-        for connection in self._reader.connections:
-            name = type_name(connection.msgtype)
-            self.counts[connection.topic, name] += connection.msgcount
-            if connection.msgdef.format == MessageDefinitionFormat.MSG:
-                self.definitions[name] = connection.msgdef.data
-
-    def read(self, topics: Collection[str]) -> Iterator[RawMessage]:
-        """Messages of the topics in log-time order.
-
-        Raises:
-            BagError: the file is damaged at the place reached.
-        """
-        chosen = [c for c in self._reader.connections if c.topic in topics]
-        if not chosen:
-            return
-        try:
-            for connection, log_time, raw in self._reader.messages(connections=chosen):
-                name = type_name(connection.msgtype)
-                yield RawMessage(connection.topic, name, log_time, bytes(raw))
-        except DAMAGE as error:
-            raise BagError(
-                f'bag {self.path} is damaged ({one_line(error)}): {SQLITE_ADVICE}'
-            ) from None
-
-    def close(self) -> None:
-        """Close the reader."""
-        with contextlib.suppress(*DAMAGE):
-            self._reader.close()
-
-
-class Ros1File:
-    """A bag of ROS 1, whose messages are handed out as ROS 2 stores them.
-
-    Attributes:
-        counts, definitions, recovered: as of McapFile.
-
-    Raises:
-        BagError: it cannot be opened.
-    """
+    faults: tuple[type[Exception], ...] = DAMAGE
+    advice = f': {SQLITE_ADVICE}'
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.recovered: int | None = None
         self.definitions: dict[str, str] = {}
-        self._types = get_typestore(Stores.ROS2_JAZZY)
-        try:
-            self._reader = Ros1Reader(path)
-            self._reader.open()
-        except (Ros1Error, *DAMAGE) as error:
-            raise BagError(
-                f'cannot read bag {path} ({one_line(error)}): try rosbag reindex FILE.bag'
-            ) from None
         self.counts: Counter[tuple[str, str]] = Counter()
+        try:
+            self._reader = self._opened(path)
+        except self.faults as error:
+            raise BagError(self._refusal(one_line(error))) from None
         for connection in self._reader.connections:
             self.counts[connection.topic, type_name(connection.msgtype)] += connection.msgcount
+            self._note(connection)
+
+    def _opened(self, path: Path) -> Any:
+        reader = Reader(path)
+        reader.open()
+        return reader
+
+    def _refusal(self, reason: str) -> str:
+        return _sqlite_message(self.path, reason)
+
+    def _note(self, connection: Any) -> None:
+        """Keep the definition of a connection's messages."""
+        if connection.msgdef.format == MessageDefinitionFormat.MSG:
+            self.definitions[type_name(connection.msgtype)] = connection.msgdef.data
+
+    def _stored(self, raw: bytes, name: str) -> bytes:
+        """A message as ROS 2 stores it."""
+        del name
+        return bytes(raw)
 
     def read(self, topics: Collection[str]) -> Iterator[RawMessage]:
         """Messages of the topics in log-time order.
@@ -282,15 +250,37 @@ class Ros1File:
         try:
             for connection, log_time, raw in self._reader.messages(connections=chosen):
                 name = type_name(connection.msgtype)
-                cdr = bytes(self._types.ros1_to_cdr(raw, name))
-                yield RawMessage(connection.topic, name, log_time, cdr)
-        except (Ros1Error, *DAMAGE) as error:
-            raise BagError(f'bag {self.path} is damaged ({one_line(error)})') from None
+                yield RawMessage(connection.topic, name, log_time, self._stored(raw, name))
+        except self.faults as error:
+            text = f'bag {self.path} is damaged ({one_line(error)}){self.advice}'
+            raise BagError(text) from None
 
     def close(self) -> None:
         """Close the reader."""
-        with contextlib.suppress(Ros1Error, *DAMAGE):
+        with contextlib.suppress(*self.faults):
             self._reader.close()
+
+
+class Ros1File(RosbagsFile):
+    """A bag of ROS 1, whose messages are handed out as ROS 2 stores them."""
+
+    faults = (Ros1Error, *DAMAGE)
+    advice = ''
+
+    def _opened(self, path: Path) -> Any:
+        self._types = get_typestore(Stores.ROS2_JAZZY)
+        reader = Ros1Reader(path)
+        reader.open()
+        return reader
+
+    def _refusal(self, reason: str) -> str:
+        return f'cannot read bag {self.path} ({reason}): try rosbag reindex FILE.bag'
+
+    def _note(self, connection: Any) -> None:
+        """Definitions of ROS 1 are not those of ROS 2."""
+
+    def _stored(self, raw: bytes, name: str) -> bytes:
+        return bytes(self._types.ros1_to_cdr(raw, name))
 
 
 def _sqlite_message(path: Path, reason: str) -> str:

@@ -17,7 +17,6 @@ from hybridreg_ros.replay.recording import CLOUD_TOPIC, as_message
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
-    from types import TracebackType
 
     from hybridreg_ros.metrics.trajectory import Trajectory
     from hybridreg_ros.replay.bag_reader import CloudFrame
@@ -53,12 +52,7 @@ class FolderLog:
     def __enter__(self) -> FolderLog:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Nothing stays open."""
 
     def cloud_topic(self, wanted: str | None = None) -> str:

@@ -1,0 +1,145 @@
+# SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""What the odometry says of itself where little holds it: degenerate places, blackouts, NEES.
+
+Degenerate places (`hybridreg_ros/benchmark/places.py`): scans, wrong poses (more than 0.2 m or 2
+degrees off the true pose since the start) with confidence above the gate, share of errors within
+three standard deviations along every axis, position error at the end. Blackouts of 0.2 to 5 s in
+simulated walks: back on the old map within five good scans, and wrong afterwards above the gate.
+NEES of the position (three degrees of freedom, so 2.4 is the median of consistent covariances).
+
+    python scripts/places_report.py                          # the ten places, minutes
+    python scripts/places_report.py --only tunnel field
+    python scripts/places_report.py --blackouts 20
+    python scripts/places_report.py --nees dev-room-502 dev-street-506
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from itertools import chain, cycle
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybridreg_ros.benchmark import suite_data
+from hybridreg_ros.benchmark.places import GATE, Score, all_places
+from hybridreg_ros.benchmark.suite_list import SEQUENCES
+from hybridreg_ros.core import se3
+from hybridreg_ros.core.scan import Scan
+from hybridreg_ros.odometry.frontend import HybridOdometry
+from hybridreg_ros.replay.report_tables import text_table
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from hybridreg_ros.benchmark.suite_data import SuiteFrame
+
+ROOT = Path(__file__).resolve().parents[1]
+DARK_S = (0.2, 0.5, 1.0, 2.0, 5.0)
+"""Lengths of blackouts."""
+BEFORE, SOON, AFTER = 12, 5, 12
+"""Good scans before a blackout, those after which the pose must be back, and all afterwards."""
+
+
+def places(names: Sequence[str]) -> list[list[str]]:
+    """Rows of the table of places."""
+    rows = [['place', 'scans', 'wrong', 'wrong above gate', 'within 3 sigma', 'end error m']]
+    scores = []
+    for place in all_places():
+        if names and place.name not in names:
+            continue
+        odometry, score = HybridOdometry(), Score()
+        for scan, truth in place.clouds():
+            score.add(odometry.step(scan), truth)
+        scores.append(score)
+        rows.append([place.name, *_cells(score)])
+    total = Score(*(list(chain(*(getattr(s, f) for s in scores))) for f in Score.__annotations__))
+    return [*rows, ['all', *_cells(total)[:-1], '']]
+
+
+def _cells(score: Score) -> list[str]:
+    return [
+        str(len(score.errors)),
+        str(sum(score.wrong)),
+        str(score.wrong_above_gate),
+        f'{score.within_3_sigma:.3f}',
+        f'{score.errors[-1]:.2f}',
+    ]
+
+
+def blackouts(count: int, cache: Path) -> list[list[str]]:
+    """Rows of the table of blackouts: empty clouds in simulated walks, of each length in turn."""
+    names = [n for n, s in SEQUENCES.items() if s.suite == 'dev' and s.frames >= 80]
+    rows = [['sequence', 'dark s', 'back after', 'wrong above gate']]
+    back = wrong = scans = 0
+    for name, dark_s in zip(names[:count], cycle(DARK_S), strict=False):
+        after, bad, good = _through_dark(suite_data.load(SEQUENCES[name], cache, cache), dark_s)
+        back, wrong, scans = back + (after <= SOON), wrong + bad, scans + good
+        rows.append([name, f'{dark_s:g}', str(after), f'{bad} of {good}'])
+    return [*rows, ['all', '', f'{back} of {len(rows) - 1}', f'{wrong} of {scans}']]
+
+
+def _through_dark(frames: list[SuiteFrame], dark_s: float) -> tuple[int, int, int]:
+    """Scans until a right pose, wrong ones above the gate, and scans after a blackout."""
+    odometry, start = HybridOdometry(), se3.inverse(frames[0].T_world_sensor)
+    dark, after, bad, good = round(10.0 * dark_s), AFTER + 1, 0, 0
+    for k, frame in enumerate(frames[: BEFORE + dark + AFTER]):
+        if BEFORE <= k < BEFORE + dark:
+            empty = np.zeros((0, 3), np.float32)
+            odometry.step(Scan(empty, stamp=frame.scan.stamp, frame_id=frame.scan.frame_id))
+            continue
+        result, score = odometry.step(frame.scan), Score()
+        if k >= BEFORE + dark:
+            good += 1
+            score.add(result, start @ frame.T_world_sensor)
+            bad += score.wrong_above_gate
+            after = after if score.wrong[0] else min(after, good)
+    return after, bad, good
+
+
+def nees(names: Sequence[str], data: Path, cache: Path) -> list[list[str]]:
+    """Rows of the table of consistency: position errors since the first scan, above the gate."""
+    rows = [['sequence', 'scans', 'median NEES', '95 %', 'end error m', 'end sigma m']]
+    medians = []
+    for name in names:
+        frames = suite_data.load(SEQUENCES[name], data, cache)
+        odometry, start = HybridOdometry(), se3.inverse(frames[0].T_world_sensor)
+        values, error, sigma = [], 0.0, 0.0
+        for k, frame in enumerate(frames):
+            result = odometry.step(frame.scan)
+            off = (result.pose - start @ frame.T_world_sensor)[:3, 3]
+            part = result.covariance[:3, :3]
+            error, sigma = float(np.linalg.norm(off)), float(np.sqrt(np.trace(part)))
+            if k and result.confidence >= GATE:
+                values.append(float(off @ np.linalg.solve(part, off)))
+        medians.append(float(np.median(values)))
+        high = float(np.quantile(values, 0.95))
+        cells = [str(len(values)), f'{medians[-1]:.2f}', f'{high:.1f}']
+        rows.append([name, *cells, f'{error:.3f}', f'{sigma:.3f}'])
+    return [*rows, ['median', '', f'{np.median(medians):.2f}', '', '', '']]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print the tables that were asked for."""
+    parser = argparse.ArgumentParser(description=(__doc__ or '').split('\n', maxsplit=1)[0])
+    parser.add_argument('--only', nargs='+', default=[], metavar='PLACE', help='these places')
+    parser.add_argument('--blackouts', type=int, default=0, metavar='N', help='walks instead')
+    parser.add_argument('--nees', nargs='+', metavar='SEQUENCE', help='consistency instead')
+    parser.add_argument('--data', type=Path, default=ROOT.parent / 'shared' / 'data')
+    parser.add_argument('--cache', type=Path, default=ROOT / 'out' / 'suite' / 'frames')
+    args = parser.parse_args(argv)
+    if args.nees:
+        rows = nees(args.nees, args.data, args.cache)
+    elif args.blackouts:
+        rows = blackouts(args.blackouts, args.cache)
+    else:
+        rows = places(args.only)
+    print(text_table(rows))
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -30,7 +30,7 @@ from hybridreg_ros.benchmark.suite_list import SEQUENCES
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import Scan
 from hybridreg_ros.odometry.frontend import HybridOdometry
-from hybridreg_ros.replay.report_tables import text_table
+from hybridreg_ros.replay.page.tables import text_table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

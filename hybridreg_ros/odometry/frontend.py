@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
+_FOR_SCALE = 2000
+"""Points by which every scan is asked whether the scene has become a far larger one."""
+
 
 class Prepared(NamedTuple):
     """A scan with all done that does not need the pose before (`HybridOdometry.prepare`)."""
@@ -115,6 +118,7 @@ class HybridOdometry:
         self._motion = self._make_motion()
         self._tracker: Tracker | None = None
         self._begun = False
+        self._outgrown = 0
         self._keyframe_id = 0
         self._last_pose = self._motion.pose
 
@@ -164,14 +168,15 @@ class HybridOdometry:
             keyframe yet. The rest, which makes and returns the whole result; to be called once, in
             any thread (the next `locate` calls it if nobody did).
         """
-        if prepared is None or prepared.tracker is not self._tracker or prepared.scan is not scan:
-            prepared = None
         watch, self.reported_confidence = Watch() if prepared is None else prepared.watch, None
         watch.resume()
         fault = self._intake.check(scan)
         if fault is not None and not self._rebase(scan, fault):
             refusal = self._refusal(scan, fault, watch)
             return refusal, Rest(lambda: refusal)
+        self._judge_scale_again(scan)
+        if prepared and (prepared.tracker is not self._tracker or prepared.scan is not scan):
+            prepared = None
         cloud = self._preprocessed(scan) if prepared is None else prepared.cloud
         watch.lap('preprocess')
         if cloud is None or self._tracker is None:
@@ -243,6 +248,22 @@ class HybridOdometry:
             self._tracker = Tracker(self.config, sensor, self._registrar, self._motion)
             return cloud
         return preprocess(scan, self._tracker.sensor, self.config.preprocess, self._motion.twist)
+
+    def _judge_scale_again(self, scan: Scan) -> None:
+        """Begin a new map where the scene is far larger than the one the map was made for."""
+        tracker = self._tracker
+        if tracker is None or len(scan) < self.config.input.min_points:
+            return
+        some = scan.points[:: max(1, len(scan) // _FOR_SCALE)]
+        sensor = recognise_sensor(some, self.config)
+        self._outgrown = self._outgrown + 1 if tracker.sensor.outgrown_by(sensor) else 0
+        if self._outgrown < self.config.input.rebase_after:
+            return
+        self._finish()
+        self._outgrown, self._begun = 0, False
+        _log.warning('the scene is a far larger one: a new map begins; sensor: %s', sensor)
+        leg = tracker.leg_to(scan.stamp)
+        self._tracker = Tracker(self.config, sensor, self._registrar, self._motion, leg)
 
     def _without_map(self, scan: Scan, watch: Watch) -> OdometryResult:
         """There has been no usable scan yet, so there is no pose."""

@@ -35,10 +35,18 @@ _INDEPENDENT = 2500
 """Of more points than this, found by finer cubes, the further ones repeat what the others say."""
 _DEFAULT_RANGES_M = {'depth': (0.2, 8.0), 'lidar': (0.5, 100.0)}
 
+_DEPTH_REACH_M = 10.0
+_FAR_SHARE = 0.02
+"""Depth cameras measure hardly anything so far away, where their noise is a tenth of a metre or
+more; a stray point may say so."""
+_OUTGROWN = 4.0
+"""Voxels that fit are so many times as large once a scene has become another one: a step between
+rooms or from a wall to a hall makes them up to three times as large."""
+
 
 @dataclass(frozen=True)
 class SensorModel:
-    """What the front end knows about the sensor, decided on the first usable scan.
+    """What the front end knows about the sensor, decided on a usable scan.
 
     Attributes:
         kind: 'depth' (looks one way) or 'lidar' (looks around).
@@ -52,11 +60,20 @@ class SensorModel:
     min_range_m: float
     max_range_m: float
 
+    def outgrown_by(self, now: SensorModel) -> bool:
+        """Whether what a later scan shows calls for another map: far larger, or a lidar after all.
+
+        A smaller scene does not: a cover before the sensor is one.
+        """
+        lidar = self.kind == 'depth' and now.kind == 'lidar'
+        return lidar or now.voxel_size_m > _OUTGROWN * self.voxel_size_m
+
 
 def recognise_sensor(points: NDArray[np.float32], config: OdometryConfig) -> SensorModel:
     """Decide what the config leaves open from one scan.
 
-    A sensor is a depth camera when all its points lie within 75 degrees of their mean direction.
+    A sensor is a depth camera when all its points lie within 75 degrees of their mean direction
+    and next to none is beyond the reach of such cameras; a lidar may look ahead only, too.
 
     Args:
         points: (N, 3) float32, sensor frame, metres, N > 0.
@@ -74,7 +91,8 @@ def recognise_sensor(points: NDArray[np.float32], config: OdometryConfig) -> Sen
         inside = (
             directions @ (mean / length) > np.cos(np.deg2rad(75.0)) if length > 0.2 else [False]
         )
-        kind = 'depth' if np.mean(inside) > 0.995 else 'lidar'
+        far = np.mean(ranges[sane] > _DEPTH_REACH_M) if sane.any() else 0.0
+        kind = 'depth' if np.mean(inside) > 0.995 and far < _FAR_SHARE else 'lidar'
     low, high = _DEFAULT_RANGES_M[kind]
     low = config.preprocess.min_range_m or low
     high = config.preprocess.max_range_m or high

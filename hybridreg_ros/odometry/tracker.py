@@ -57,6 +57,7 @@ class Tracker:
         sensor: what the sensor is.
         registrar: the network, or None.
         motion: the pose chain, advanced here.
+        leg: (6, 6) covariance of the pose at which the map begins, None = none.
 
     Attributes:
         sensor: what the sensor is.
@@ -71,6 +72,7 @@ class Tracker:
         sensor: SensorModel,
         registrar: Registrar | None,
         motion: Motion,
+        leg: F64 | None = None,
     ) -> None:
         self.sensor = sensor
         self.lost = False
@@ -84,7 +86,7 @@ class Tracker:
         self._locator = Locator(config, sensor, self._world, self._learned)
         self._bad_frames = 0
         self._lost_since, self._lost_twist = 0, np.zeros(6)
-        self._blind_leg = np.zeros((6, 6))
+        self._blind_leg = np.zeros((6, 6)) if leg is None else leg
         self._opening: tuple[PreprocessedScan, int] | None = None
         self._continuity = ScanContinuity()
         self._since_update = 0
@@ -166,6 +168,16 @@ class Tracker:
     def map_points(self) -> NDArray[np.float32]:
         """Static points (N, 3) of the local map, odom frame, metres."""
         return self._world.map.fine.points()
+
+    def leg_to(self, stamp: int) -> F64:
+        """Covariance (6, 6) of a map that begins at a stamp (ns) where the motion leads."""
+        if self.lost:
+            seconds = (stamp - self._lost_since) / NS_PER_S
+            return self._blind_leg + covariance.of_blindness(self._lost_twist, seconds)
+        expected = self._motion.expect(stamp)
+        spread = np.repeat([expected.shift_m, expected.turn_rad], 3)
+        leg: F64 = self.covariance + np.diag(spread**2)
+        return leg
 
     def _is_last_straw(self, found: Located) -> bool:
         """Whether a tentative pose comes after too many bad frames to be taken."""
@@ -317,15 +329,13 @@ class Tracker:
         maps stays in the covariance of all later poses.
         """
         if reason is not Reason.FIRST_SCAN:
-            seconds = (stamp - self._lost_since) / NS_PER_S
-            leg = covariance.of_blindness(self._lost_twist, seconds)
-            self._blind_leg = self._blind_leg + leg
-        self._stop(stamp)
+            self._blind_leg = self.leg_to(stamp)
+        self._stop(stamp, self._motion.predict(stamp))
         pose = self._motion.pose
         self.lost, self._bad_frames = False, 0
         self.source = Source.KISS_ICP if self._learned is None else Source.HYBRIDREG
         first = reason is Reason.FIRST_SCAN
-        self.covariance = covariance.first() if first else covariance.lost()
+        self.covariance = covariance.first() + self._blind_leg if first else covariance.lost()
         self._adopt(self._world.begin(cloud, pose, stamp), encoded)
         self._opening = None if cloud.times is None else (cloud, stamp)
         return self._estimate(pose, reason, float(first), nothing(cloud), is_keyframe=True)

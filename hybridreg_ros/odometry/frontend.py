@@ -334,6 +334,7 @@ class HybridOdometry:
             reason=fault or estimate.reason,
             confidence=estimate.confidence,
             dynamic_probability=estimate.dynamic_probability,
+            weak_direction=estimate.weak_direction,
             keyframe_id=estimate.keyframe_id,
             is_keyframe=estimate.is_keyframe,
             timings_s=watch.laps(),

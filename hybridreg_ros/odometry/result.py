@@ -48,6 +48,7 @@ class Reason(StrEnum):
     DISAGREES_WITH_MOTION = 'disagrees_with_motion'
     REFINEMENT_FAILED = 'refinement_failed'
     NO_OVERLAP = 'no_overlap'
+    DEGENERATE = 'degenerate'
     RECOVERED = 'recovered'
     STAMP_REPEATED = 'stamp_repeated'
     STAMP_BACKWARDS = 'stamp_backwards'
@@ -77,6 +78,8 @@ class OdometryResult:
         timings_s: seconds per stage (preprocess, encode, match, refine, dynamics, map, total).
         deskewed: True when the points were deskewed by constant velocity.
         load: 0 = all of a step was done; more = less of it, since scans come too fast.
+        weak_direction: (3,) unit direction, odom axes, along which no surface holds the position;
+            None = there is none.
     """
 
     scan: Scan
@@ -94,6 +97,7 @@ class OdometryResult:
     timings_s: Mapping[str, float] = field(default_factory=dict)
     deskewed: bool = False
     load: int = 0
+    weak_direction: NDArray[np.float64] | None = None
 
     @property
     def stamp(self) -> int:

@@ -45,6 +45,9 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
+_UNHELD = 0.3
+"""Most that is said of a pose that nothing holds along a direction: a normal error of 0.5 m is
+within 0.2 m with this probability."""
 _OPENINGS = 2
 """How often the first map is made again once the second scan shows the velocity."""
 
@@ -87,6 +90,7 @@ class Tracker:
         self._bad_frames = 0
         self._lost_since, self._lost_twist = 0, np.zeros(6)
         self._blind_leg = np.zeros((6, 6)) if leg is None else leg
+        self._weak_leg, self._held = np.zeros((6, 6)), motion.stamp
         self._opening: tuple[PreprocessedScan, int] | None = None
         self._continuity = ScanContinuity()
         self._since_update = 0
@@ -266,16 +270,38 @@ class Tracker:
         if found.source is Source.KISS_ICP:
             factor *= section.fallback_factor
         ahead_s = cloud.reported_s - cloud.instant_s
-        self.covariance = covariance.of_fit(found.fit, ahead_s, factor) + self._blind_leg
-        reason = Reason.RECOVERED if was_lost else found.reason
+        self.covariance = covariance.of_fit(found.fit, ahead_s, factor) + self._leg(found, stamp)
+        loose = bool(found.fit.unheld.any())
+        reason = Reason.DEGENERATE if loose else found.reason
+        reason = Reason.RECOVERED if was_lost else reason
         told = self._locator.confidence_of(found)
-        estimate = self._estimate(pose, reason, told.confidence, nothing(cloud), False)
+        confidence = min(told.confidence, _UNHELD) if loose else told.confidence
+        estimate = self._estimate(pose, reason, confidence, nothing(cloud), False)
         self._since_update += 1
         update = partial(self._update, cloud, encoded, stamp, found, effort.asks_mask)
         self._becomes_keyframe = self._world.is_due(found, stamp)
         if self._since_update < effort.update_every and not self._becomes_keyframe:
             update = partial(self._pass_over, cloud, found)
-        return replace(estimate, reported=reported, reported_confidence=told, update=update)
+        return replace(
+            estimate,
+            reported=reported,
+            reported_confidence=told,
+            update=update,
+            weak_direction=covariance.weak_direction(found.fit.unheld),
+        )
+
+    def _leg(self, found: Located, stamp: int) -> F64:
+        """Covariance (6, 6) of the ways on which nothing held the pose, the present one included.
+
+        What was written to the map on such a way stays as far off as the way was.
+        """
+        if not found.fit.unheld.any():
+            self._blind_leg, self._weak_leg = self._blind_leg + self._weak_leg, np.zeros((6, 6))
+            self._held = stamp
+        else:
+            seconds = max(0.0, (stamp - self._held) / NS_PER_S)
+            self._weak_leg = covariance.along(found.fit.unheld, self._motion.twist, seconds)
+        return self._blind_leg + self._weak_leg
 
     def _update(
         self,
@@ -432,8 +458,8 @@ class Estimate:
 
     `reported` is the pose at the instant that is asked for, None where only the velocity between
     scans leads there; `reported_confidence` is what the confidence follows from, None where it is
-    0. `update` makes mask, map and keyframes, to be called once before the next step; None =
-    nothing to do.
+    0; `weak_direction` as in OdometryResult. `update` makes mask, map and keyframes, to be called
+    once before the next step; None = nothing to do.
     """
 
     pose: F64
@@ -446,6 +472,7 @@ class Estimate:
     is_keyframe: bool
     reported: F64 | None = None
     reported_confidence: ReportedConfidence | None = None
+    weak_direction: F64 | None = None
     update: Callable[[Watch], Update] | None = None
 
 

@@ -114,7 +114,7 @@ def test_teleport_is_lost_then_a_new_map_is_announced(tmp_path: Path) -> None:
     )
     here = walk(5)
     there = [pose(-40.0 + 0.05 * k, 30.0, 10.0) for k in range(20)]
-    clouds = scans(here, RAYS) + scans(there, RAYS, world=hall, start_s=100.5)
+    clouds = scans(here, RAYS) + scans(there, RAYS, world=hall, start_s=100.5, period_s=1.0)
     found = published(tmp_path, clouds, here + there)
     assert found.said('confidence')[5] == 0.0
     assert 'lost' in found.said('source')[5:9]
@@ -122,7 +122,7 @@ def test_teleport_is_lost_then_a_new_map_is_announced(tmp_path: Path) -> None:
     assert found.said('confidence')[again] == 0.0
     assert min(found.said('confidence')[again + 2 :]) > 0.9
     jumps = np.linalg.norm(np.diff(found.poses, axis=0), axis=1)
-    assert jumps.max() < 0.3
+    assert jumps.max() < 1.0  # one second at the velocity before
 
 
 @pytest.mark.slow

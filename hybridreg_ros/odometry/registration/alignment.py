@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -71,6 +71,8 @@ class Fit:
         cluster_covariance: (6, 6) covariance of the pose error by how much the parts of the scan
             disagree, m^2 and rad^2, same axes (`cluster_covariance`).
         intra_scan: motion during the scan that its deskew did not undo, when it was asked for.
+        unheld: (6, 6) projection onto the directions that no surface holds (x y z, turn about the
+            sensor; odom axes), zero where all are held.
     """
 
     T_odom_sensor: NDArray[np.float64]
@@ -80,6 +82,7 @@ class Fit:
     converged: bool
     cluster_covariance: NDArray[np.float64]
     intra_scan: IntraScanMotion | None = None
+    unheld: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 6)))
 
 
 def align(
@@ -237,6 +240,7 @@ def _assessed(
     by_clusters = cluster_covariance(
         points, planes, T_odom_sensor, surfaces, scales, H, level.size_m
     )
+    loose = unheld(H, any_way)
     H, _ = believed(H, b, any_way, config.loose)
     usable = trust > 0.5
     paired = usable & (surfaces.kind != kernels.NONE)
@@ -247,6 +251,7 @@ def _assessed(
         scale_m=scale,
         converged=converged,
         cluster_covariance=by_clusters,
+        unheld=loose,
     )
 
 
@@ -278,6 +283,30 @@ def _system(
         (_POINT_SPREAD * level.size_m) ** 2,
     )
     return system
+
+
+_HELD = 0.007
+"""Least share of the information of surfaces that face all ways that holds a direction: the median
+of six ordinary sequences is 0.017 or more, of tunnels, rails, corridors, walls and fields 0.0033
+or less (docs/lab/2026-11-29-what-holds-nothing.md)."""
+
+
+def unheld(H: NDArray[np.float64], any_way: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Projection (6, 6) onto the directions that no surface holds; zero where all are held.
+
+    Args:
+        H: (6, 6) information of the planes.
+        any_way: (6, 6) information if every surface held all directions.
+    """
+    unit = np.sqrt(np.maximum(np.diag(any_way), 1e-12))
+    root = np.linalg.cholesky(any_way / np.outer(unit, unit) + 1e-6 * np.eye(6))
+    inverse = np.linalg.inv(root)
+    shares, vectors = np.linalg.eigh(inverse @ (H / np.outer(unit, unit)) @ inverse.T)
+    loose = (inverse.T @ vectors[:, shares < _HELD]) / unit[:, None]
+    loose /= np.maximum(np.linalg.norm(loose, axis=0), 1e-12)
+    q, _ = np.linalg.qr(loose)
+    projection: NDArray[np.float64] = q @ q.T
+    return projection
 
 
 def believed(

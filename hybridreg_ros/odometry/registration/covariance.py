@@ -24,6 +24,13 @@ _SLOW = np.array([0.5, 0.2])
 """Speed (m/s) and rate (rad/s) at which a sensor that was at rest may be moved by hand."""
 
 
+_FREE = np.array([0.5, 0.17])
+"""Standard deviation, metres and rad, of a pose along what nothing holds: as much as that of a
+first prediction, about which nothing is known either."""
+_WEAK = 0.5
+"""Share of a direction that must lie in the space that nothing holds."""
+
+
 def lost() -> F64:
     """Covariance (6, 6) of a pose that must not be used."""
     return np.eye(6) * LOST_VARIANCE
@@ -105,6 +112,25 @@ def of_blindness(twist: F64, seconds: float) -> F64:
     speed, rate = np.linalg.norm(twist[:3]), np.linalg.norm(twist[3:])
     std = np.minimum(_SLOW + np.array([speed, rate]), _LARGEST_STD / max(seconds, 1e-3)) * seconds
     return np.diag(np.repeat(std**2, 3))
+
+
+def along(unheld: F64, twist: F64, seconds: float) -> F64:
+    """Covariance (6, 6) along directions that nothing has held for a while.
+
+    Args:
+        unheld: (6, 6) projection onto them (`Fit.unheld`).
+        twist: (6,) velocity before.
+        seconds: for how long.
+    """
+    free = of_blindness(twist, seconds) + np.diag(np.repeat(_FREE**2, 3))
+    covariance: F64 = unheld @ free @ unheld
+    return covariance
+
+
+def weak_direction(unheld: F64) -> F64 | None:
+    """Unit direction (3,), odom axes, of the position that is held least; None = all are held."""
+    values, vectors = np.linalg.eigh(unheld[:3, :3])
+    return vectors[:, -1] if values[-1] > _WEAK else None
 
 
 def of_twist(pose_covariance: F64, T_odom_sensor: F64, dt_s: float) -> F64:

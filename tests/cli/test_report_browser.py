@@ -114,15 +114,23 @@ def test_scrubber_moves_points_sensor_and_cursors(page: Path, tmp_path: Path) ->
           function put(value) {
             slider.value = value; slider.dispatchEvent(new Event('input'));
           }
+          function when(said, before, then) {  // both are there: the text and the points
+            var now = state();
+            if (now.text.indexOf(said) === 0 && String(now.sensor) !== String(before)) then(now);
+            else setTimeout(function () { when(said, before, then); }, 100);
+          }
+          var start = state().sensor;
           put(2);
-          setTimeout(function () {
-            seen.push(state());
+          when('Frame 2 at', start, function (now) {
+            seen.push(now);
             document.querySelector('[data-frame]').click();
             var linked = slider.value;
             put(9);
-            setTimeout(function () { seen.push(state()); tell({seen: seen, linked: linked,
-              target: document.querySelector('[data-frame]').dataset.frame}); }, 1500);
-          }, 1500);
+            when('Frame 9 at', now.sensor, function (then) {
+              seen.push(then); tell({seen: seen, linked: linked,
+                target: document.querySelector('[data-frame]').dataset.frame});
+            });
+          });
         });
         """,
     )

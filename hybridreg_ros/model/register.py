@@ -60,9 +60,6 @@ if TYPE_CHECKING:
     F64 = NDArray[np.float64]
 
 
-from typing import TYPE_CHECKING
-
-
 class HybridReg:
     """Registration of two clouds of a scene in which things may move.
 

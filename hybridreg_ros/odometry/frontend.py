@@ -193,10 +193,8 @@ class HybridOdometry:
         estimate = self._tracker.step(cloud, encoded, proposal, stamp, effort, watch)
         result = self._result(scan, cloud, estimate, fault, watch)
         result = replace(result, load=effort.level)
-        self._rest, self._begun = (
-            Rest(partial(self._completed, result, estimate.update, watch)),
-            True,
-        )
+        self._rest = Rest(partial(self._completed, result, estimate.update, watch))
+        self._begun = True
         return result, self._rest
 
     def _finish(self) -> None:

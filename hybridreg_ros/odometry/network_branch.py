@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, cast
 
 from hybridreg_ros.core import se3
@@ -13,7 +14,7 @@ from hybridreg_ros.core.errors import ConfigError, RegistrationError, WeightsErr
 from hybridreg_ros.model.budget import Budget  # noqa: TC001 (a field of a NamedTuple)
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     import numpy as np
     from numpy.typing import NDArray
@@ -180,8 +181,11 @@ class LearnedBranch:
 
     def point_mask(
         self, scan: Encoded, keyframe: Keyframe, T_odom_sensor: NDArray[np.float64]
-    ) -> PointMask | None:
+    ) -> Callable[[], PointMask | None] | None:
         """Which points of a scan are static, by what a keyframe saw; nothing is encoded for it.
+
+        What is needed is taken now, so that the answer may be made in another thread while the
+        next scan is matched.
 
         Args:
             scan: by `encode`.
@@ -189,18 +193,24 @@ class LearnedBranch:
             T_odom_sensor: (4, 4) pose of the scan.
 
         Returns:
-            P(static) and P(seen by the keyframe) per point given to `encode`; None where the
-            keyframe is not kept at this budget, or the registrar has no such answer.
+            Gives P(static) and P(seen by the keyframe) per point given to `encode`, or None for
+            weights without a static head; None where the keyframe is not kept at this budget, or
+            the registrar has no such answer.
         """
         known = self._keyframes.get((keyframe.number, scan.budget))
         ask = getattr(self._of(scan.budget), 'point_mask', None)
         if ask is None or known is None:
             return None
         T_keyframe_scan = se3.inverse(keyframe.T_odom_keyframe) @ T_odom_sensor
-        try:
-            return cast('PointMask', ask(scan.encoding, known, T_keyframe_scan))
-        except WeightsError:
-            return None
+        return partial(_answer, partial(ask, scan.encoding, known, T_keyframe_scan))
+
+
+def _answer(ask: Callable[[], PointMask]) -> PointMask | None:
+    """What a registrar says, None where its weights have no static head."""
+    try:
+        return ask()
+    except WeightsError:
+        return None
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.model.budget import Budget
+    from hybridreg_ros.model.static_points import PointMask
     from hybridreg_ros.odometry.config import OdometryConfig
     from hybridreg_ros.odometry.keyframes import Keyframe
     from hybridreg_ros.odometry.load import Effort
@@ -278,7 +279,8 @@ class Tracker:
         confidence = min(told.confidence, _UNHELD) if loose else told.confidence
         estimate = self._estimate(pose, reason, confidence, nothing(cloud), False)
         self._since_update += 1
-        update = partial(self._update, cloud, encoded, stamp, found, effort.asks_mask)
+        static = self._static(encoded, pose) if effort.asks_mask else None
+        update = partial(self._update, cloud, encoded, stamp, found, static)
         self._becomes_keyframe = self._world.is_due(found, stamp)
         if self._since_update < effort.update_every and not self._becomes_keyframe:
             update = partial(self._pass_over, cloud, found)
@@ -309,14 +311,15 @@ class Tracker:
         encoded: Encoded | None,
         stamp: int,
         found: Located,
-        asks_mask: bool,
+        static: Callable[[], PointMask | None] | None,
         watch: Watch,
     ) -> Update:
         """Say what moves in a located scan, and write what stands still to the world."""
         self._since_update = 0
         pose = found.fit.T_odom_sensor
-        static = self._static(encoded, pose) if asks_mask else None
-        dynamic, image = self._world.moving(cloud, pose, stamp, static)
+        mask = None if static is None else static()
+        still = None if mask is None else mask.static
+        dynamic, image = self._world.moving(cloud, pose, stamp, still)
         watch.lap('dynamics')
         keyframe = self._world.add(cloud, stamp, found, dynamic, image)
         if keyframe is not None:
@@ -326,13 +329,12 @@ class Tracker:
         watch.lap('map')
         return Update(dynamic, keyframe is not None, self._keyframe_id)
 
-    def _static(self, encoded: Encoded | None, pose: F64) -> NDArray[np.float32] | None:
-        """P(static) of a scan's thinned points by the network, against the nearest keyframe."""
+    def _static(self, encoded: Encoded | None, pose: F64) -> Callable[[], PointMask | None] | None:
+        """Gives P(static) of a scan's thinned points by the network, by the nearest keyframe."""
         keyframe = self._world.keyframes.to_match(pose)
         if self._learned is None or encoded is None or keyframe is None:
             return None
-        mask = self._learned.point_mask(encoded, keyframe, pose)
-        return None if mask is None else mask.static
+        return self._learned.point_mask(encoded, keyframe, pose)
 
     def _pass_over(self, cloud: PreprocessedScan, found: Located, watch: Watch) -> Update:
         """Say what moves by what is remembered of its places; the world learns nothing."""

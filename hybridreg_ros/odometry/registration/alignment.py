@@ -13,6 +13,7 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.odometry.motion.intra_scan_motion import NO_INTRA_SCAN_MOTION, IntraScanMotion
 from hybridreg_ros.odometry.registration import intra_scan_update, kernels
 from hybridreg_ros.odometry.registration.cluster_covariance import cluster_covariance
+from hybridreg_ros.odometry.registration.kernels import NONE
 from hybridreg_ros.odometry.registration.surfaces import Surfaces
 
 if TYPE_CHECKING:
@@ -23,19 +24,7 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.motion.prediction import Expected
     from hybridreg_ros.odometry.preprocessed import PreprocessedScan
 
-from typing import TYPE_CHECKING
-
-from hybridreg_ros.odometry.registration.kernels import NONE
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hybridreg_ros.odometry.config import RefineConfig
-
     F64 = NDArray[np.float64]
-
-
-from typing import TYPE_CHECKING
 
 Basin = Literal['coarse', 'middle', 'near', 'fine']
 

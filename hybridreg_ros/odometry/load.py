@@ -15,18 +15,16 @@ class Effort:
 
     Attributes:
         level: 0 = all of it.
-        budgets: of points for the network, after the quick look, where that is not sure.
         update_every: mask, map and keyframes are made of every n-th scan, and where a keyframe is
             due; the mask of the others is what was known of their places.
-        wide: whether other guesses are tried while a pose is in doubt.
-        asks_mask: whether the network says which points are static, beside the past.
+        thorough: whether, while a pose is in doubt, the network looks again at the full budget and
+            kiss-icp starts from other guesses; and whether the network says which points are
+            static, beside the past.
     """
 
     level: int
-    budgets: tuple[Budget, ...]
     update_every: int
-    wide: bool
-    asks_mask: bool
+    thorough: bool
 
 
 QUICK = Budget(5_000, 100)
@@ -35,9 +33,9 @@ half the cost (docs/lab/2026-11-29-step-time.md)."""
 FULL = Budget()
 """Budget where the first look is not sure, and to find the pose again after a loss."""
 EFFORTS = (
-    Effort(0, (FULL,), 1, wide=True, asks_mask=True),
-    Effort(1, (), 2, wide=False, asks_mask=False),
-    Effort(2, (), 3, wide=False, asks_mask=False),
+    Effort(0, 1, thorough=True),
+    Effort(1, 2, thorough=False),
+    Effort(2, 3, thorough=False),
 )
 """From all to least."""
 _CALM_SCANS = 20

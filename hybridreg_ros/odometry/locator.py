@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hybridreg_ros.model.budget import Budget
     from hybridreg_ros.odometry.config import OdometryConfig
     from hybridreg_ros.odometry.load import Effort
     from hybridreg_ros.odometry.motion.prediction import Expected
@@ -128,15 +127,14 @@ class Locator:
             last: (4, 4) last pose.
             trust: (K,) weight per registered point.
             watch: books the time per stage.
-            effort: further budgets of the network, and whether kiss-icp may start elsewhere than
-                close to the prediction.
+            effort: how much is tried while the pose is in doubt.
         """
         self.judged = []
         self._prior = expected.widened(*(_HEED / self._rigour))
         self._reach_m = min(expected.shift_m, self._prior.shift_m)
         check: Callable[[Fit], Candidate] = partial(self._judged, cloud, trust, expected)
         found: Located | Reason = self._no_network
-        for proposal in self._proposals(cloud, *asked, expected, effort.budgets):
+        for proposal in self._proposals(cloud, *asked, expected, effort.thorough):
             watch.lap('match')
             check = self._check(cloud, trust, expected, proposal)
             other = self._by_network(cloud, proposal, trust, check, expected)
@@ -145,7 +143,7 @@ class Locator:
             if isinstance(found, Located) and self._is_sure(found):
                 return found
         why = found if isinstance(found, Reason) else Reason.LOW_CONFIDENCE
-        other = self._by_fallback(cloud, [expected.pose, last], trust, check, why, effort.wide)
+        other = self._by_fallback(cloud, [expected.pose, last], trust, check, why, effort.thorough)
         return other if _is_better(other, found) else found
 
     def _proposals(
@@ -154,15 +152,15 @@ class Locator:
         scan: Encoded | None,
         first: Proposal | None,
         expected: Expected,
-        budgets: Sequence[Budget],
+        thorough: bool,
     ) -> Iterator[Proposal | None]:
-        """What the network says of a scan, in a quick look and at further budgets."""
+        """What the network says of a scan, in a quick look and at the full budget."""
         if self._learned is None:
             return
         keyframe = self._world.keyframes.to_match(expected.pose)
         yield first or self._learned.propose(scan, keyframe)
-        for budget in budgets:
-            finer = self._learned.encode_finer(cloud.map_points, scan, budget)
+        if thorough:
+            finer = self._learned.encode_finer(cloud.map_points, scan, FULL)
             if finer is not None:
                 yield self._learned.propose(finer, keyframe)
 
@@ -317,7 +315,6 @@ class Locator:
             Reason.OK,
             min(proposal.confidence, candidate.verdict.confidence),
             candidate.verdict.confidence,
-            proposal.uncertainty,
             candidate.innovation,
             candidate.rank,
         )

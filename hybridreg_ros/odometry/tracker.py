@@ -279,7 +279,7 @@ class Tracker:
         confidence = min(told.confidence, _UNHELD) if loose else told.confidence
         estimate = self._estimate(pose, reason, confidence, nothing(cloud), False)
         self._since_update += 1
-        static = self._static(encoded, pose) if effort.asks_mask else None
+        static = self._static(encoded, pose) if effort.thorough else None
         update = partial(self._update, cloud, encoded, stamp, found, static)
         self._becomes_keyframe = self._world.is_due(found, stamp)
         if self._since_update < effort.update_every and not self._becomes_keyframe:

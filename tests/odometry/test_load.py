@@ -30,10 +30,9 @@ def test_less_at_once_and_more_again_after_a_calm_while() -> None:
 
 
 def test_each_level_does_less() -> None:
-    assert [e.budgets for e in EFFORTS] == [(FULL,), (), ()]
     assert QUICK.max_superpoints < FULL.max_superpoints
     assert [e.update_every for e in EFFORTS] == [1, 2, 3]
-    assert [e.wide for e in EFFORTS] == [True, False, False]
+    assert [e.thorough for e in EFFORTS] == [True, False, False]
 
 
 class _Counting(NeighbourhoodRegistrar):

@@ -8,6 +8,7 @@ import io
 import json
 import os
 import shutil
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -26,16 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    pass
     from hybridreg_ros.data.hybridmatch.take import Sample
-
-
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from hybridreg_ros.data.hybridmatch.take import Sample
-
 
 NOTES = '.blocks'
 """Folder in a begun split with what is known of each finished block."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.odometry.result import Reason, Source
 from hybridreg_ros.odometry.selection.pose_confidence import FIRM, of_evidence, worst_axis
@@ -25,14 +26,6 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.selection.pose_confidence import PoseEvidence, Verdict
 
     F64 = NDArray[np.float64]
-    F32 = NDArray[np.float32]
-
-
-from typing import TYPE_CHECKING
-
-import numpy as np
-
-from hybridreg_ros.core import se3
 
 _log = logging.getLogger(__name__)
 
@@ -52,7 +45,6 @@ class Located:
         reason: why that branch.
         confidence: P(pose right) by the evidence and, of its poses, the network, [0, 1].
         evident: by the evidence alone, [0, 1].
-        uncertainty: (M,) float32 of the network per map point of the cloud, None without one.
         innovation: how far it is off the predicted pose (`innovation`).
         rank: by which the best of several is chosen (`rank`).
         tentative: taken only since it is as the motion leads one to expect: better than none, but
@@ -65,7 +57,6 @@ class Located:
     reason: Reason
     confidence: float
     evident: float
-    uncertainty: F32 | None = None
     innovation: float = 0.0
     rank: float = 0.0
     tentative: bool = False

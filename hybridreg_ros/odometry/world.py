@@ -112,7 +112,7 @@ class World:
             self._remember(cloud, pose, stamp, image, still)
         if enters:
             self._write(cloud, pose, stamp, still)
-        drawn = image if still.all() else self.sightings.draw(cloud, pose, still)
+        drawn = image if still.all() else image.only(cloud.usable & still)
         self.sightings.keep(drawn, keyframe is not None)
         return keyframe
 

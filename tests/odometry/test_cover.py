@@ -57,7 +57,9 @@ def test_movers_are_not_drawn_and_keyframes_speak_for_what_they_hid() -> None:
     def drawn(sightings: Sightings, points: np.ndarray, still: np.ndarray | None) -> None:
         scan = Scan(points, stamp=1.0, frame_id='s')
         cloud = preprocess(scan, sensor, config.preprocess, np.zeros(6))
-        sightings.keep(sightings.draw(cloud, here, still), is_keyframe=still is None)
+        image = sightings.draw(cloud, here)
+        image = image if still is None else image.only(still)
+        sightings.keep(image, is_keyframe=still is None)
 
     known, fooled = Sightings(sensor), Sightings(sensor)
     for sightings, still in ((known, ~moving), (fooled, np.ones(len(full), np.bool_))):

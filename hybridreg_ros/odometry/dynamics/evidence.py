@@ -48,7 +48,7 @@ class Past:
     def keep(self, look: Look) -> None:
         """Keep one more; of too many, the one goes whose neighbours are the closest in age."""
         kept = self._kept
-        kept.append(look)
+        kept.append(look._replace(image=look.image.kept()))
         if len(kept) <= LOOKS:
             return
         since = [max(0.0, (look.stamp - past.stamp) / NS_PER_S) + 1e-3 for past in kept]

@@ -13,6 +13,15 @@ HALF_SPAN = 1 << 20
 EMPTY = -1
 
 _HASH = -7046029254386353131
+_BLOCK = ~((3 << 42) | (3 << 21) | 3)
+"""The bits of a key that name the block of 4x4x4 voxels it lies in."""
+
+
+@compiled
+def _first_slot(key, mask):  # type: ignore[no-untyped-def]
+    """Where the search for a key begins: voxels of one block lie side by side in memory."""
+    own = ((key >> 38) & 48) | ((key >> 19) & 12) | (key & 3)
+    return (((((key & _BLOCK) * _HASH) >> 40) << 6) | own) & mask
 
 
 @compiled
@@ -56,7 +65,7 @@ def find_voxel(key, slots, keys):  # type: ignore[no-untyped-def]
         keys: (V,) int64 of the voxels.
     """
     mask = len(slots) - 1
-    slot = ((key * _HASH) >> 40) & mask
+    slot = _first_slot(key, mask)
     while slots[slot] >= 0 and keys[slots[slot]] != key:
         slot = (slot + 1) & mask
     return slots[slot]
@@ -66,7 +75,7 @@ def find_voxel(key, slots, keys):  # type: ignore[no-untyped-def]
 def add_voxel(number, slots, keys):  # type: ignore[no-untyped-def]
     """Put a voxel that is not in the table of `find_voxel` into it."""
     mask = len(slots) - 1
-    slot = ((keys[number] * _HASH) >> 40) & mask
+    slot = _first_slot(keys[number], mask)
     while slots[slot] >= 0:
         slot = (slot + 1) & mask
     slots[slot] = number

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.core.jit import compiled
+from hybridreg_ros.core.jit import compiled, compiled_fast
 from hybridreg_ros.core.pages import paged
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ class RangeImage:
         points: (N, 3), sensor frame, metres.
         view: how directions map to pixels.
         T_odom_sensor: (4, 4) pose of the scan.
-        rows: (R,) int64, the points to draw; None for all.
+        member: (N,) bool, the points to draw; None for all.
     """
 
     def __init__(
@@ -115,24 +115,42 @@ class RangeImage:
         points: NDArray[np.floating],
         view: Pixels,
         T_odom_sensor: NDArray[np.float64],
-        rows: NDArray[np.int64] | None = None,
+        member: NDArray[np.bool_] | None = None,
     ) -> None:
         self.view = view
         self.T_odom_sensor = T_odom_sensor
-        count = len(points) if rows is None else len(rows)
+        count = len(points) if member is None else np.count_nonzero(member)
         step = max(1, count // (_POINTS_PER_PIXEL * view.width * view.height))
-        near = np.full((view.height, view.width), np.inf, np.float32)
-        far = np.zeros((view.height, view.width), np.float32)
-        some = points[::step] if rows is None else points[rows[::step]]
-        _draw(some, *_geometry(view), near, far)
+        ranges, pixels = _seen(points[::step], view, np.eye(4))
+        self._drawn: tuple[int, NDArray[np.float32], NDArray[np.int32]] = step, ranges, pixels
+        self._draw(None if member is None else member[::step])
+
+    def _draw(self, member: NDArray[np.bool_] | None) -> None:
+        _, ranges, pixels = self._drawn
+        near = np.full((self.view.height, self.view.width), np.inf, np.float32)
+        far = np.zeros((self.view.height, self.view.width), np.float32)
+        shown = pixels if member is None else np.where(member, pixels, np.int32(-1))
+        _draw(ranges, shown, near.ravel(), far.ravel())
         # A point counts as off a surface only when it is off in the 3x3 pixels around it, so that
         # slanted surfaces and edges do not look like things that moved.
-        self._near, self._far = _widen(near, far, view.wraps)
-        self._inside = _inside(far > 0.0, view.wraps)
+        self._near, self._far = _widen(near, far, self.view.wraps)
+        self._inside = _inside(far > 0.0, self.view.wraps)
+
+    def only(self, member: NDArray[np.bool_]) -> RangeImage:
+        """The image of some (N,) of the points that were given to this one, not `kept` before."""
+        other = copy(self)
+        other._draw(member[:: self._drawn[0]])
+        return other
+
+    def kept(self) -> RangeImage:
+        """The same image without the points it was drawn from."""
+        other = copy(self)
+        other._drawn = 1, np.zeros(0, np.float32), np.zeros(0, np.int32)
+        return other
 
     def paged(self) -> RangeImage:
-        """The same image in pages of its own (`core.pages`), for one that is kept for long."""
-        other = copy(self)
+        """As `kept`, in pages of its own (`core.pages`), for one that is kept for long."""
+        other = self.kept()
         other._near, other._far = paged(np.stack([self._near, self._far]))
         other._inside = paged(self._inside)
         return other
@@ -159,20 +177,11 @@ class RangeImage:
             (N,) int8 of UNSEEN, FRONT, ON, BEHIND.
         """
         T = se3.inverse(self.T_odom_sensor) @ T_odom_sensor
+        ranges, pixels = _seen(points, self.view, T)
         out = np.zeros(len(points), np.int8)
-        _stand(
-            points,
-            T[:3, :3].copy(),
-            T[:3, 3].copy(),
-            *_geometry(self.view),
-            self._near,
-            self._far,
-            tolerance_m,
-            tolerance_share,
-            self._inside,
-            strict,
-            out,
-        )
+        inside = self._inside if strict else self._far > 0.0
+        images = self._near.ravel(), self._far.ravel(), inside.ravel()
+        _stand(ranges, pixels, images, tolerance_m, tolerance_share, out)
         return out
 
     def look(
@@ -200,20 +209,41 @@ class RangeImage:
         """
         T = se3.inverse(self.T_odom_sensor) @ T_odom_sensor
         margin = np.empty(len(points), np.float32)
-        speed = np.empty(len(points), np.float32)
-        _look(
-            se3.apply(T, points),
-            T[:3, :3].T.copy(),
-            T[:3, 3].copy(),
-            *_geometry(self.view),
-            (self._near, self._far, self._inside),
-            (now._near, now._far),
-            noise,
-            age_s,
-            margin,
-            speed,
-        )
+        speed = np.full(len(points), -1.0, np.float32)
+        ranges, pixels = _seen(points, self.view, T)
+        near, far = self._near.ravel(), self._far.ravel()
+        _margins(ranges, pixels, (near, far, self._inside.ravel()), noise, margin)
+        hidden = np.flatnonzero(margin < -_HIDDEN)
+        if len(hidden):
+            before = far[pixels[hidden]]
+            there = se3.apply(T, points[hidden]) * (before / ranges[hidden])[:, None]
+            q, at = _seen(there, self.view, se3.inverse(T))
+            clear = now._near.ravel()[at] - q > _HIDDEN * _sigma(q, noise)
+            gone = hidden[(at >= 0) & (now._far.ravel()[at] > 0.0) & clear]
+            speed[gone] = (ranges[gone] - far[pixels[gone]]) / age_s
         return margin, speed
+
+
+def _sigma(r: NDArray[np.float32], noise: tuple[float, float, float]) -> NDArray[np.float32]:
+    """Standard deviation of ranges (N,), metres."""
+    sigma: NDArray[np.float32] = noise[0] + noise[1] * r + noise[2] * r * r
+    return sigma
+
+
+def _seen(
+    points: NDArray[np.floating], view: Pixels, T_view_points: NDArray[np.float64]
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Range (N,), metres, and pixel (N,) of points as a sensor sees them; -1 outside its view."""
+    R = (view.basis @ T_view_points[:3, :3]).astype(np.float32)
+    t = (view.basis @ T_view_points[:3, 3]).astype(np.float32)
+    ranges = np.empty(len(points), np.float32)
+    pixels = np.empty(len(points), np.int32)
+    low = np.array([view.azimuth_rad, view.elevation_rad], np.float32)
+    shape = np.array([view.height, view.width], np.int32)
+    scale = (1.0 / view.step_rad).astype(np.float32)
+    some = points.astype(np.float32, copy=False)
+    _project(some, R, t, low, scale, shape, view.wraps, ranges, pixels)
+    return ranges, pixels
 
 
 def _inside(filled: NDArray[np.bool_], wraps: bool) -> NDArray[np.bool_]:
@@ -231,37 +261,48 @@ def _inside(filled: NDArray[np.bool_], wraps: bool) -> NDArray[np.bool_]:
     return inside
 
 
-def _geometry(
-    view: Pixels,
-) -> tuple[NDArray[np.float64], float, float, NDArray[np.float64], bool]:
-    return view.basis, view.azimuth_rad, view.elevation_rad, view.step_rad, view.wraps
+@compiled_fast
+def _angle(y, x):  # type: ignore[no-untyped-def]
+    """Direction of (x, y), rad, within 1.1e-5 (Abramowitz and Stegun, 4.4.47)."""
+    a, b = abs(x), abs(y)
+    small = min(a, b) / max(a, b, np.float32(1e-12))
+    q = small * small
+    r = np.float32(0.0208351) * q - np.float32(0.0851330)
+    r = r * q + np.float32(0.1801410)
+    r = r * q - np.float32(0.3302995)
+    r = (r * q + np.float32(0.9998660)) * small
+    r = np.float32(np.pi / 2) - r if b > a else r
+    r = np.float32(np.pi) - r if x < np.float32(0.0) else r
+    return -r if y < np.float32(0.0) else r
 
 
-@compiled
-def _pixel_of(x, y, z, basis, azimuth, elevation, step):  # type: ignore[no-untyped-def]
-    """Range, column and row of a direction; they may lie outside the image."""
-    f = basis[0, 0] * x + basis[0, 1] * y + basis[0, 2] * z
-    s = basis[1, 0] * x + basis[1, 1] * y + basis[1, 2] * z
-    u = basis[2, 0] * x + basis[2, 1] * y + basis[2, 2] * z
-    flat = np.sqrt(f * f + s * s)
-    column = int(np.floor((np.arctan2(s, f) - azimuth) / step[0]))
-    row = int(np.floor((np.arctan2(u, flat) - elevation) / step[1]))
-    return np.sqrt(flat * flat + u * u), column, row
-
-
-@compiled
-def _draw(points, basis, azimuth, elevation, step, wraps, near, far):  # type: ignore[no-untyped-def]
-    height, width = near.shape
+@compiled_fast
+def _project(points, R, t, low, scale, shape, wraps, ranges, pixels):  # type: ignore[no-untyped-def]
+    """The kernel of `_seen`; float32 throughout, so that it fills vector registers."""
+    height, width = shape[0], shape[1]
     for i in range(len(points)):
-        r, column, row = _pixel_of(
-            points[i, 0], points[i, 1], points[i, 2], basis, azimuth, elevation, step
-        )
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        f = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t[0]
+        s = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t[1]
+        u = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t[2]
+        flat = np.sqrt(f * f + s * s)
+        ranges[i] = np.sqrt(flat * flat + u * u)
+        column = np.int32(np.floor((_angle(s, f) - low[0]) * scale[0]))
+        row = np.int32(np.floor((_angle(u, flat) - low[1]) * scale[1]))
         if wraps:
-            column %= width
-        if column < 0 or row < 0 or column >= width or row >= height:
-            continue
-        near[row, column] = min(near[row, column], r)
-        far[row, column] = max(far[row, column], r)
+            column = column - width if column >= width else column
+            column = column + width if column < 0 else column
+        outside = (column < 0) | (row < 0) | (column >= width) | (row >= height)
+        pixels[i] = np.int32(-1) if outside else row * width + column
+
+
+@compiled
+def _draw(ranges, pixels, near, far):  # type: ignore[no-untyped-def]
+    for i in range(len(pixels)):
+        pixel, r = pixels[i], ranges[i]
+        if pixel >= 0:
+            near[pixel] = min(near[pixel], r)
+            far[pixel] = max(far[pixel], r)
 
 
 @compiled
@@ -287,89 +328,28 @@ def _widen(near, far, wraps):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _stand(  # type: ignore[no-untyped-def]
-    points,
-    R,
-    t,
-    basis,
-    azimuth,
-    elevation,
-    step,
-    wraps,
-    near,
-    far,
-    slack,
-    share,
-    inside,
-    strict,
-    out,
-):
-    height, width = near.shape
-    B = basis @ R
-    o = basis @ t
-    for i in range(len(points)):
-        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
-        f = B[0, 0] * px + B[0, 1] * py + B[0, 2] * pz + o[0]
-        s = B[1, 0] * px + B[1, 1] * py + B[1, 2] * pz + o[1]
-        u = B[2, 0] * px + B[2, 1] * py + B[2, 2] * pz + o[2]
-        out[i] = UNSEEN
-        flat = np.sqrt(f * f + s * s)
-        row = int(np.floor((np.arctan2(u, flat) - elevation) / step[1]))
-        if row < 0 or row >= height:
+def _stand(ranges, pixels, images, slack, share, out):  # type: ignore[no-untyped-def]
+    near, far, inside = images
+    for i in range(len(pixels)):
+        pixel, r = pixels[i], ranges[i]
+        if pixel < 0 or not inside[pixel] or far[pixel] == 0.0:
+            out[i] = UNSEEN
             continue
-        column = int(np.floor((np.arctan2(s, f) - azimuth) / step[0]))
-        if wraps:
-            column %= width
-        if column < 0 or column >= width:
-            continue
-        high = far[row, column]
-        if high == 0.0 or (strict and not inside[row, column]):
-            continue
-        low = near[row, column]
-        r = np.sqrt(flat * flat + u * u)
         tolerance = slack + share * r
-        if r < low - tolerance:
+        if r < near[pixel] - tolerance:
             out[i] = FRONT
-        elif r > high + tolerance:
+        elif r > far[pixel] + tolerance:
             out[i] = BEHIND
         else:
             out[i] = ON
 
 
 @compiled
-def _look(  # type: ignore[no-untyped-def]
-    points, R, t, basis, azimuth, elevation, step, wraps, then, now, noise, age_s, margin, speed
-):
-    """The kernel of `RangeImage.look`; points in the sensor frame of the image, R its rotation."""
-    near, far, inside = then
-    height, width = near.shape
-    for i in range(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        margin[i], speed[i] = np.nan, -1.0
-        r, column, row = _pixel_of(x, y, z, basis, azimuth, elevation, step)
-        if wraps:
-            column %= width
-        if column < 0 or row < 0 or column >= width or row >= height or not inside[row, column]:
-            continue
-        low, high = near[row, column], far[row, column]
-        if high == 0.0:
-            continue
-        sigma = noise[0] + noise[1] * r + noise[2] * r * r
-        margin[i] = max(low - r, 0.0) / sigma - max(r - high, 0.0) / sigma
-        if margin[i] >= -_HIDDEN:
-            continue
-        share = high / r
-        x, y, z = x * share - t[0], y * share - t[1], z * share - t[2]
-        q, column, row = _pixel_of(
-            R[0, 0] * x + R[0, 1] * y + R[0, 2] * z,
-            R[1, 0] * x + R[1, 1] * y + R[1, 2] * z,
-            R[2, 0] * x + R[2, 1] * y + R[2, 2] * z,
-            basis, azimuth, elevation, step,
-        )  # fmt: skip
-        if wraps:
-            column %= width
-        if column < 0 or row < 0 or column >= width or row >= height or now[1][row, column] == 0.0:
-            continue
-        sigma = noise[0] + noise[1] * q + noise[2] * q * q
-        if now[0][row, column] - q > _HIDDEN * sigma:
-            speed[i] = (r - high) / age_s
+def _margins(ranges, pixels, images, noise, margin):  # type: ignore[no-untyped-def]
+    near, far, inside = images
+    for i in range(len(pixels)):
+        pixel, r = pixels[i], ranges[i]
+        margin[i] = np.nan
+        if pixel >= 0 and inside[pixel] and far[pixel] > 0.0:
+            sigma = noise[0] + noise[1] * r + noise[2] * r * r
+            margin[i] = (max(near[pixel] - r, 0.0) - max(r - far[pixel], 0.0)) / sigma

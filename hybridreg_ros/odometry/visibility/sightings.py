@@ -51,27 +51,15 @@ class Sightings:
         self._last: RangeImage | None = None
         self._keyframes: deque[RangeImage] = deque(maxlen=memory)
 
-    def draw(
-        self,
-        cloud: PreprocessedScan,
-        pose: NDArray[np.float64],
-        still: NDArray[np.bool_] | None = None,
-    ) -> RangeImage:
-        """Range image of a cloud at a pose; the first cloud decides the view.
-
-        Args:
-            cloud: the preprocessed scan.
-            pose: (4, 4) its pose.
-            still: (N,) the points to draw; None for all.
-        """
-        rows = np.flatnonzero(cloud.usable if still is None else cloud.usable & still)
+    def draw(self, cloud: PreprocessedScan, pose: NDArray[np.float64]) -> RangeImage:
+        """Range image of a cloud at a pose (4, 4); the first cloud decides the view."""
         if self._view is None:
-            self._view = view_of(cloud.points[rows], self._kind)
-        return RangeImage(cloud.points, self._view, pose, rows)
+            self._view = view_of(cloud.points[cloud.usable], self._kind)
+        return RangeImage(cloud.points, self._view, pose, cloud.usable)
 
     def keep(self, image: RangeImage, is_keyframe: bool) -> None:
         """Compare later scans with this one."""
-        self._last = image.paged() if is_keyframe else image
+        self._last = image.paged() if is_keyframe else image.kept()
         if is_keyframe:
             self._keyframes.append(self._last)
 

@@ -93,7 +93,7 @@ def test_points_stay_with_their_voxel_when_arrays_grow() -> None:
     assert len(level.grid.store) > before[1]
     assert np.unique(level.points(), axis=0).shape == level.points().shape
     for point in level.points()[::5000]:
-        row, off = nearest(*point.astype(np.float64), level.grid)
+        row, _, off = nearest(*point.astype(np.float64), level.grid)
         assert off == 0.0
         assert np.array_equal(level.grid.store[row], point)
         assert level.grid.surface[row]['born'] == 3.0
@@ -144,7 +144,7 @@ def test_points_are_packed_before_more_rows_are_taken(monkeypatch: pytest.Monkey
     assert len(level.grid.store) == rows
     assert len(level) == len(places) * len(corners) == len(np.unique(level.points(), axis=0))
     for place, mark in marks.items():
-        row, off = nearest(*place, level.grid)
+        row, _, off = nearest(*place, level.grid)
         assert off == 0.0
         surface = level.grid.surface[row]
         assert surface['fitted'] == surface['variance'] == mark

@@ -26,8 +26,8 @@ LEAST_LEFT = 0.5
 
 @compiled
 def buffer(grid):  # type: ignore[no-untyped-def]
-    """Room (P, 4) for as many points as there can be around a place."""
-    return np.empty((27 * grid.most, 4))
+    """Room (P, 4) for as many points as there can be around a place, and one more."""
+    return np.empty((27 * grid.most + 1, 4))
 
 
 @compiled
@@ -43,14 +43,22 @@ def around(x, y, z, grid, found):  # type: ignore[no-untyped-def]
     Returns:
         How many.
     """
-    centre = voxel_key(x, y, z, 1.0 / grid.size)
-    reach_sq = grid.size * grid.size
-    count = 0
+    size = grid.size
+    centre = voxel_key(x, y, z, 1.0 / size)
     if centre == EMPTY:
         return 0
+    reach_sq = size * size
+    fx, fy, fz = x / size, y / size, z / size
+    fx, fy, fz = fx - np.floor(fx), fy - np.floor(fy), fz - np.floor(fz)
+    count = 0
     for di in range(-1, 2):
+        gx = 0.0 if di == 0 else (fx if di < 0 else 1.0 - fx)
         for dj in range(-1, 2):
+            gy = 0.0 if dj == 0 else (fy if dj < 0 else 1.0 - fy)
             for dk in range(-1, 2):
+                gz = 0.0 if dk == 0 else (fz if dk < 0 else 1.0 - fz)
+                if gx * gx + gy * gy + gz * gz > 1.0:
+                    continue
                 key = centre + (di << 42) + (dj << 21) + dk
                 voxel = find_voxel(key, grid.slots, grid.keys)
                 if voxel < 0:
@@ -60,10 +68,9 @@ def around(x, y, z, grid, found):  # type: ignore[no-untyped-def]
                     dx = grid.store[i, 0] - x
                     dy = grid.store[i, 1] - y
                     dz = grid.store[i, 2] - z
-                    if dx * dx + dy * dy + dz * dz <= reach_sq:
-                        found[count, 0], found[count, 1], found[count, 2] = dx, dy, dz
-                        found[count, 3] = float(grid.mass[i]) if grid.by_mass else 1.0
-                        count += 1
+                    found[count, 0], found[count, 1], found[count, 2] = dx, dy, dz
+                    found[count, 3] = float(grid.mass[i]) if grid.by_mass else 1.0
+                    count += dx * dx + dy * dy + dz * dz <= reach_sq
     return count
 
 

@@ -245,7 +245,7 @@ def mean_distance(points, R, t, grid):  # type: ignore[no-untyped-def]
         x = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + t[0]
         y = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz + t[1]
         z = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2]
-        total += np.sqrt(nearest(x, y, z, grid)[1])
+        total += np.sqrt(nearest(x, y, z, grid)[2])
     return total / max(1, len(points))
 
 
@@ -254,14 +254,14 @@ def nearest(x, y, z, grid):  # type: ignore[no-untyped-def]
     """Stored point nearest to a place, within one voxel edge.
 
     Returns:
-        Its row (-1 = none), squared distance (the squared edge when there is none).
+        Its row and its voxel (-1 = none), squared distance (the squared edge when there is none).
     """
     size = grid.size
     best = size * size
-    place = -1
+    place, home = -1, -1
     centre = voxel_key(x, y, z, 1.0 / size)
     if centre == EMPTY:
-        return place, best
+        return place, home, best
     # Distance to the lower and upper face of the own voxel: a neighbour cannot be nearer.
     fx = x / size - np.floor(x / size)
     fy = y / size - np.floor(y / size)
@@ -289,8 +289,8 @@ def nearest(x, y, z, grid):  # type: ignore[no-untyped-def]
                         dz = grid.store[i, 2] - z
                         d = dx * dx + dy * dy + dz * dz
                         if d < best:
-                            best, place = d, i
-    return place, best
+                            best, place, home = d, i, voxel
+    return place, home, best
 
 
 @compiled

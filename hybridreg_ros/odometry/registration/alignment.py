@@ -344,34 +344,50 @@ def _iterate(
     with the guess.
     """
     level, floor = levels[0], schedule.scale
-    surfaces = Surfaces(len(points))
+    every = max(1, len(points) // _FIRST)
     reach = float(np.median(np.linalg.norm(points, axis=1))) if len(points) else 1.0
-    order = _by_range(points)
+    some, weight, surfaces, order = _every(every, points, trust)
     for _ in range(config.max_iterations):
-        surfaces.search(points, T, levels, local_map.updates)
-        lasting = by_age(trust, surfaces, local_map.age_s, config)
+        surfaces.search(some, T, levels, local_map.updates)
+        lasting = by_age(weight, surfaces, local_map.age_s, config)
         moved = 0.0
         for _ in range(2):
-            surfaces.measure(points, T)
+            surfaces.measure(some, T)
             low = max(floor, config.min_scale) * level.size_m
             scale = surfaces.scales(order, low, level.size_m)
-            H, b, any_way = _system(points, lasting, T, surfaces, scale, level)
+            H, b, any_way = _system(some, lasting, T, surfaces, scale, level)
             if prior is not None:
                 H, b = believed(H, b, any_way, config.loose)
-                weight, pull = prior.pull(T)
-                H[np.arange(6), np.arange(6)] += weight
-                b += pull
+                held, pull = prior.pull(T)
+                H[np.arange(6), np.arange(6)] += held / every
+                b += pull / every
             step = intra_scan_update.solve(H, b)
             T = T.copy()
             T[:3, :3] = se3.so3_exp(step[3:]) @ T[:3, :3]
             T[:3, 3] += step[:3]
             moved = max(moved, float(np.linalg.norm(step[:3]) + reach * np.linalg.norm(step[3:])))
-        if moved < config.convergence * level.size_m and floor < 2.0 * config.min_scale:
+        last = floor < 2.0 * config.min_scale
+        if every == 1 and last and moved < config.convergence * level.size_m:
             return se3.orthonormalise(T), True, surfaces
         if moved < schedule.enough_m:
             break
         floor *= config.anneal
+        if every > 1 and last and moved < _CLOSE * level.size_m:
+            every = 1
+            some, weight, surfaces, order = _every(1, points, trust)
     return se3.orthonormalise(T), False, surfaces
+
+
+_FIRST = 900
+"""Points, about, by which an alignment comes close; all of them end it."""
+_CLOSE = 0.1
+"""Step, in voxels of the level, at which it has come close."""
+
+
+def _every(k: int, points: F64, trust: F64) -> tuple[F64, F64, Surfaces, NDArray[np.int64]]:
+    """Every k-th point with its weight, room for their surfaces, and their order by range."""
+    some = np.ascontiguousarray(points[::k])
+    return some, np.ascontiguousarray(trust[::k]), Surfaces(len(some)), _by_range(some)
 
 
 _FULL = 0.8

@@ -16,6 +16,8 @@ GRAZING = 0.12
 """A surface is not seen edge-on (cosine between normal and beam). Of a single ring of a lidar the
 range noise makes a strip, and that lies in the cone of its beams: it would travel along with the
 sensor and hold it where it was."""
+SAME_PLANE = 1.0
+"""Standard deviations of the points about a plane within which another of its voxel lies on it."""
 BETWEEN = 0.5
 """How far off a surface of the wider level a point between the rings may be, in voxels."""
 
@@ -59,12 +61,36 @@ def _surface_of(x, y, z, grid, wider, widest, update, room):  # type: ignore[no-
     Returns:
         Its row in the level, -1 = none within one edge.
     """
-    i, _ = nearest(x, y, z, grid)
-    if i >= 0:
-        surface = grid.surface[i]
-        if surface.fitted == 0 or update - surface.fitted > _lasts(surface.support):
-            fit_surface(i, grid, wider, widest, update, room)
+    i, voxel, _ = nearest(x, y, z, grid)
+    if i >= 0 and _is_due(grid.surface[i], update) and not _shares(i, voxel, grid, update):
+        fit_surface(i, grid, wider, widest, update, room)
     return i
+
+
+@compiled
+def _is_due(surface, update):  # type: ignore[no-untyped-def]
+    """Whether a surface must be fitted anew."""
+    return surface.fitted == 0 or update - surface.fitted > _lasts(surface.support)
+
+
+@compiled
+def _shares(i, voxel, grid, update):  # type: ignore[no-untyped-def]
+    """Let stored point i have the plane of another one of its voxel, if it lies on one."""
+    start = grid.spans[voxel, 0]
+    for k in range(start, start + grid.spans[voxel, 1]):
+        other = grid.surface[k]
+        if other.support == 0 or _is_due(other, update):
+            continue
+        off = other.offset
+        off -= other.nx * (grid.store[i, 0] - grid.store[k, 0])
+        off -= other.ny * (grid.store[i, 1] - grid.store[k, 1])
+        off -= other.nz * (grid.store[i, 2] - grid.store[k, 2])
+        if off * off <= SAME_PLANE * SAME_PLANE * other.variance:
+            own = grid.surface[i]
+            own.nx, own.ny, own.nz, own.offset = other.nx, other.ny, other.nz, off
+            own.variance, own.fitted, own.support = other.variance, other.fitted, other.support
+            return True
+    return False
 
 
 @compiled

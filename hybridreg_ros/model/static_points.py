@@ -11,7 +11,7 @@ import torch
 from torch.nn import functional
 
 from hybridreg_ros.core.jit import compiled_fast
-from hybridreg_ros.model.geometry.sight import looks
+from hybridreg_ros.model.geometry.sight import COUNT, looks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -75,10 +75,11 @@ def head_input(source: EncodedCloud, target: EncodedCloud, T_target_source: F64)
     owners = _owners(pyramid)
     holder, other = _fine_points(pyramid), _fine_points(target.encoding.pyramid)
     rows = np.flatnonzero(pyramid.input_to_level0 >= 0)
-    alike = _likeness(fine, holder, others, other, nearest)
-    voxel = np.full(len(rows), np.log(pyramid.voxel_size_m), np.float32)
-    columns = np.column_stack([seen[rows], voxel, alike[rows]])
-    return HeadInput(rows, columns, fine, (owners[0][rows], *owners[1:]))
+    seen[:, COUNT] = np.log(pyramid.voxel_size_m)
+    _likeness(fine, holder, others, other, nearest, seen[:, COUNT + 1])
+    if len(rows) < len(seen):
+        seen, owners[0] = seen[rows], owners[0][rows]
+    return HeadInput(rows, seen, fine, tuple(owners))
 
 
 def _owners(pyramid: Pyramid) -> list[I64]:
@@ -96,9 +97,8 @@ def _fine_points(pyramid: Pyramid) -> I64:
 
 
 @compiled_fast
-def _likeness(fine: F32, holder: I64, others: F32, other: I64, nearest: I32) -> F32:
-    """Dot product (N,) of the features of every point and its nearest one; 0 where none is."""
-    out = np.zeros(len(holder), np.float32)
+def _likeness(fine: F32, holder: I64, others: F32, other: I64, nearest: I32, out: F32) -> None:
+    """Dot product (N,) of the features of every point and its nearest one; left where none is."""
     for i in range(len(holder)):
         if holder[i] < 0 or nearest[i] < 0 or other[nearest[i]] < 0:
             continue
@@ -107,7 +107,6 @@ def _likeness(fine: F32, holder: I64, others: F32, other: I64, nearest: I32) -> 
         for c in range(len(a)):
             total += a[c] * b[c]
         out[i] = total
-    return out
 
 
 @torch.no_grad()

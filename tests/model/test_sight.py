@@ -20,14 +20,15 @@ def wall(x: float, half: float = 3.0, step: float = 0.05) -> np.ndarray:
 
 
 def seen_by(points: np.ndarray, other: np.ndarray, T: np.ndarray = STAY) -> np.ndarray:
-    """Looks (N, COUNT) at points (N, 3) by another cloud."""
+    """Looks (N, COUNT + 2) at points (N, 3) by another cloud."""
     found, _ = looks(Sight.of(points.astype(np.float32)), Sight.of(other), T)
     return found
 
 
 def test_a_point_stands_before_on_or_behind_what_was_seen() -> None:
     found = seen_by(np.array([[3.0, 0.0, 0.0], [5.0, 0.0, 0.0], [7.0, 0.0, 0.0]]), wall(5.0))
-    assert found.shape == (3, COUNT)
+    assert found.shape == (3, COUNT + 2)
+    assert not found[:, COUNT:].any()
     for near in (1, 4, 8):  # how far what was seen lies behind, by direction, finely and widely
         assert found[0, near] == pytest.approx(magnitude(2.0), abs=0.03)
         assert found[2, near] == pytest.approx(magnitude(-2.0), abs=0.03)

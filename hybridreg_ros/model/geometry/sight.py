@@ -36,6 +36,8 @@ _BINS = (128, 40)
 what is near enough to be finely seen, and for sensors of few rings."""
 _UNIT_M = 0.05
 """Lengths below this are noise; above it, only their order of magnitude counts."""
+_BLOCK = 4096
+"""Points whose lengths are turned into magnitudes at a time; so they stay in the cache."""
 _FAR_M = 20.0
 """Distance to the nearest point where there is none, or none so near."""
 
@@ -236,23 +238,26 @@ def looks(source: Sight, target: Sight, T_target_source: F64) -> tuple[F32, I32]
         T_target_source: (4, 4), metres.
 
     Returns:
-        (N, COUNT) float32 and (N,) int32, the nearest point that the target saw around the
-        direction of each (-1: none). Columns, lengths as `magnitude`: 0 to 2 the very direction:
-        seen or not, how far what was seen lies behind the point, and how far the point lies
-        behind it; 3 to 6 and 7 to 10 the same around it in finer and wider directions (share of
-        them seen), each with the distance to the nearest point seen; 11 how far what the target
-        saw there stands in space that the source looked through; 12 to 14 like 3 to 5 in its own
-        cloud; 15 and 16 log of the range from the other and the own sensor; 17 distance to the
-        nearest point seen around it, had it moved along with the sensor. Rows of NaN are zero.
+        (N, COUNT + 2) float32, the last two zero, and (N,) int32, the nearest point that the
+        target saw around the direction of each (-1: none). Columns, lengths as `magnitude`: 0 to 2
+        the very direction: seen or not, how far what was seen lies behind the point, and how far
+        the point lies behind it; 3 to 6 and 7 to 10 the same around it in finer and wider
+        directions (share of them seen), each with the distance to the nearest point seen; 11 how
+        far what the target saw there stands in space that the source looked through; 12 to 14 like
+        3 to 5 in its own cloud; 15 and 16 log of the range from the other and the own sensor; 17
+        distance to the nearest point seen around it, had it moved along with the sensor. Rows of
+        NaN are zero.
     """
-    out = np.zeros((len(source.points), COUNT), np.float32)
+    out = np.zeros((len(source.points), COUNT + 2), np.float32)
     nearest = np.empty(len(source.points), np.int32)
     free = _stands_free(se3.inverse(T_target_source), target.points, target.fine, source.fine)
     theirs = target.fine, target.wide
     _looked_at(
         source.points, source.fine, target.points, theirs, T_target_source, free, out, nearest
     )
-    lengths = out[:, _LENGTHS]
-    size = np.log(np.abs(lengths) * np.float32(1.0 / _UNIT_M) + np.float32(1.0))
-    out[:, _LENGTHS] = np.copysign(size * np.float32(1.0 / 3.0), lengths)
+    for start in range(0, len(out), _BLOCK):
+        rows = out[start : start + _BLOCK]
+        lengths = rows[:, _LENGTHS]
+        size = np.log(np.abs(lengths) * np.float32(1.0 / _UNIT_M) + np.float32(1.0))
+        rows[:, _LENGTHS] = np.copysign(size * np.float32(1.0 / 3.0), lengths)
     return out, nearest

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import nn
-from torch.nn import functional
 
 from hybridreg_ros.model.geometry.sight import COUNT
 
@@ -18,6 +17,9 @@ if TYPE_CHECKING:
     from hybridreg_ros.model.config import ModelConfig
 
     Tensor = torch.Tensor
+
+_BLOCK = 4096
+"""Points that are taken at a time."""
 
 
 class StaticHead(nn.Module):
@@ -57,13 +59,18 @@ class StaticHead(nn.Module):
                 one above of every voxel.
             weight: (N,) of the points in the means; None: all alike.
         """
-        x = functional.relu(self.point(looks))
-        total = x if weight is None else weight[:, None] * x
-        count = x.new_ones(len(x)) if weight is None else weight
+        # In blocks that stay in the cache: fresh pages would take longer than the arithmetic.
+        points = [self.point(block).relu_() for block in looks.split(_BLOCK)]
+        inside = owners[0].split(_BLOCK)
         sizes, means = [*map(len, owners[1:]), 1 + int(owners[-1].max())], []
-        for owner, size in zip(owners, sizes, strict=True):
-            total = total.new_zeros(size, total.shape[1]).index_add(0, owner, total)
-            count = count.new_zeros(size).index_add(0, owner, count)
+        count = looks.new_ones(len(looks)) if weight is None else weight
+        total = looks.new_zeros(sizes[0], self.point.out_features)
+        for x, owner, w in zip(points, inside, count.split(_BLOCK), strict=True):
+            total = total.index_add(0, owner, x if weight is None else w[:, None] * x)
+        for level, size in enumerate(sizes):
+            if level:
+                total = total.new_zeros(size, total.shape[1]).index_add(0, owners[level], total)
+            count = count.new_zeros(size).index_add(0, owners[level], count)
             means.append(total / count.clamp_min(1e-6)[:, None])
         y: Tensor | None = None
         for level in range(len(means) - 1, -1, -1):
@@ -72,7 +79,10 @@ class StaticHead(nn.Module):
                 z = z + self.fine(fine)
             if y is not None:
                 z = z + self.above[level](y).index_select(0, owners[level + 1])
-            y = functional.relu(z)
-        y = functional.relu(self.own(x) + self.around(y).index_select(0, owners[0]))
-        logits: Tensor = self.output(y)
-        return logits
+            y = z.relu_()
+        around = self.around(y)
+        logits = [
+            self.output((self.own(x) + around.index_select(0, owner)).relu_())
+            for x, owner in zip(points, inside, strict=True)
+        ]
+        return torch.cat(logits)

@@ -131,15 +131,16 @@ def _nearest(
     x: float, y: float, z: float, f: int, u: int, v: int, points: F32, row: I32
 ) -> tuple[float, int]:
     """Distance to the nearest of the points entered in 3 x 3 directions, and its row or -1."""
-    bins, least, found = row.shape[1], _FAR_M * _FAR_M, -1
+    bins, least, found = row.shape[1], np.float32(_FAR_M * _FAR_M), -1
     for p in range(max(u - 1, 0), min(u + 2, bins)):
         for q in range(max(v - 1, 0), min(v + 2, bins)):
             i = row[f, p, q] - 1
-            if i < 0:
-                continue
-            d2 = (points[i, 0] - x) ** 2 + (points[i, 1] - y) ** 2 + (points[i, 2] - z) ** 2
-            if d2 < least:
-                least, found = d2, i
+            k = max(i, 0)  # no branches: they would be guessed wrongly
+            dx, dy, dz = points[k, 0] - x, points[k, 1] - y, points[k, 2] - z
+            d2 = dx * dx + dy * dy + dz * dz
+            nearer = (i >= 0) & (d2 < least)
+            least = d2 if nearer else least
+            found = i if nearer else found
     return np.sqrt(least), found
 
 
@@ -251,10 +252,8 @@ def looks(source: Sight, target: Sight, T_target_source: F64) -> tuple[F32, I32]
     out = np.zeros((len(source.points), COUNT + 2), np.float32)
     nearest = np.empty(len(source.points), np.int32)
     free = _stands_free(se3.inverse(T_target_source), target.points, target.fine, source.fine)
-    theirs = target.fine, target.wide
-    _looked_at(
-        source.points, source.fine, target.points, theirs, T_target_source, free, out, nearest
-    )
+    theirs, T = (target.fine, target.wide), T_target_source.astype(np.float32)
+    _looked_at(source.points, source.fine, target.points, theirs, T, free, out, nearest)
     for start in range(0, len(out), _BLOCK):
         rows = out[start : start + _BLOCK]
         lengths = rows[:, _LENGTHS]

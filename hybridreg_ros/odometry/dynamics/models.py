@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 PACKAGED = Path(__file__).with_name('models.npz')
 _LIMIT = 4.0
+_BLOCK = 2048
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,12 +36,17 @@ class Perceptron:
     layers: tuple[tuple[F32, F32], ...]
 
     def __call__(self, inputs: F32) -> F32:
-        """Log odds (M,) of inputs (M, F)."""
-        x = np.clip((inputs - self.mean) / self.scale, -_LIMIT, _LIMIT)
-        for weights, offset in self.layers[:-1]:
-            x = np.maximum(x @ weights + offset, np.float32(0.0))
-        weights, offset = self.layers[-1]
-        odds: F32 = (x @ weights + offset)[:, 0]
+        """Log odds (M,) of inputs (M, F), in blocks that stay in the cache."""
+        odds = np.empty(len(inputs), np.float32)
+        for start in range(0, len(inputs), _BLOCK):
+            x = (inputs[start : start + _BLOCK] - self.mean) / self.scale
+            np.clip(x, -_LIMIT, _LIMIT, out=x)
+            for weights, offset in self.layers[:-1]:
+                x = x @ weights
+                x += offset
+                np.maximum(x, np.float32(0.0), out=x)
+            weights, offset = self.layers[-1]
+            odds[start : start + _BLOCK] = (x @ weights + offset)[:, 0]
         return odds
 
 

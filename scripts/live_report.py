@@ -7,6 +7,12 @@ of its clouds subscribed (and not decoded, as a subscriber in C++ would cost nex
 
 python scripts/live_report.py depth_7scenes --every 3 --rate 10 --seconds 120
 python scripts/live_report.py lidar_kitti_raw_22scans --rate 10 --seconds 30
+python scripts/live_report.py depth_7scenes --every 3 --rate 30 --seconds 30
+python scripts/live_report.py depth_7scenes --every 3 --burst 50    # scans that come at once
+python scripts/live_report.py depth_7scenes --every 3 --stall 3     # the node stands still, s
+
+After a burst or a stall in the middle, poses of scans are compared with those that the same scans
+had in the first third.
 """
 
 from __future__ import annotations
@@ -16,6 +22,7 @@ import collections
 import itertools
 import json
 import os
+import signal
 import struct
 import sys
 import time
@@ -31,10 +38,11 @@ from std_msgs.msg import Header
 
 from hybridreg_ros.benchmark import suite_data
 from hybridreg_ros.benchmark.suite_list import chosen
+from hybridreg_ros.core import se3
 from hybridreg_ros.core.pointcloud2 import from_arrays
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.config import OdometryConfig
-from hybridreg_ros.ros.conversions import to_pointcloud2, to_time
+from hybridreg_ros.ros.conversions import from_pose, to_pointcloud2, to_time
 from hybridreg_ros.ros.node_config import NodeConfig
 from hybridreg_ros.ros.playback.live import own_node
 from hybridreg_ros.ros.playback.node_process import NodeProcess
@@ -42,8 +50,9 @@ from hybridreg_ros.ros.playback.playing import spinning
 from hybridreg_ros.ros.qos import profile
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
+    from numpy.typing import NDArray
     from rclpy.node import Node
 
 _NAMESPACE = '/live'
@@ -59,6 +68,7 @@ class Listener:
 
     def __init__(self, node: Node) -> None:
         self.arrived: dict[int, float] = {}
+        self.poses: dict[int, NDArray[np.float64]] = {}
         self.branches: collections.Counter[str] = collections.Counter()
         self.clouds: collections.Counter[str] = collections.Counter()
         self.status: dict[str, str] = {}
@@ -70,8 +80,9 @@ class Listener:
         node.create_subscription(DiagnosticArray, '/diagnostics', self._told, qos)
 
     def _odometry(self, message: Odometry) -> None:
-        stamp = message.header.stamp
-        self.arrived[stamp.sec * NS_PER_S + stamp.nanosec] = time.monotonic()
+        stamp = message.header.stamp.sec * NS_PER_S + message.header.stamp.nanosec
+        self.arrived[stamp] = time.monotonic()
+        self.poses[stamp] = from_pose(message.pose.pose)
 
     def _counter(self, name: str) -> Any:
         return lambda _: self.clouds.update([name])
@@ -104,8 +115,12 @@ def play(
     count: int,
     rate_hz: float,
     first: int,
+    trouble: Callable[[int], None] = lambda _: None,
 ) -> dict[int, float]:
-    """Publish so many clouds at a rate; the times at which they went, by stamp."""
+    """Publish so many clouds at a rate; the times at which they went, by stamp.
+
+    `trouble` is called before each, with its number.
+    """
     publisher = node.create_publisher(PointCloud2, 'points', profile(reliable=True, depth=2))
     process.wait_until(publisher.get_subscription_count, _START_S, 'the node to subscribe')
     sent, began = {}, time.monotonic()
@@ -113,11 +128,44 @@ def play(
         stamp = first + round(k * NS_PER_S / rate_hz)
         cloud = next(clouds)
         struct.pack_into('<iI', cloud, _STAMP, *divmod(stamp, NS_PER_S))
+        trouble(k)
         time.sleep(max(0.0, began + k / rate_hz - time.monotonic()))
         sent[stamp] = time.monotonic()
         publisher.publish(bytes(cloud))
     node.destroy_publisher(publisher)
     return sent
+
+
+def trouble_of(args: argparse.Namespace, pid: int) -> Callable[[int], None]:
+    """Hold back clouds, or stop the node, in the middle."""
+    middle = round(args.seconds * args.rate) // 2
+
+    def trouble(k: int) -> None:
+        if k == middle and args.burst:
+            time.sleep(args.burst / args.rate)
+        elif args.stall and k in {middle, middle + round(args.stall * args.rate)}:
+            os.kill(pid, signal.SIGSTOP if k == middle else signal.SIGCONT)
+
+    return trouble
+
+
+def off(heard: Listener, sent: Sequence[int], period: int) -> tuple[float, float]:
+    """Largest difference, mm and deg, of poses in the last third from those of the same scans.
+
+    Args:
+        heard: what came back.
+        sent: stamps, ns, in order.
+        period: after so many clouds the same scan comes again.
+    """
+    third, metres, degrees = len(sent) // 3, [0.0], [0.0]
+    for k in range(2 * third, len(sent)):
+        first = next((j for j in range(k % period, third, period) if sent[j] in heard.poses), None)
+        if first is None or sent[k] not in heard.poses:
+            continue
+        between = se3.inverse(heard.poses[sent[first]]) @ heard.poses[sent[k]]
+        metres.append(float(np.linalg.norm(between[:3, 3])))
+        degrees.append(se3.rotation_angle_deg(between[:3, :3]))
+    return 1e3 * max(metres), max(degrees)
 
 
 def cpu_s(pid: int) -> float:
@@ -141,7 +189,8 @@ def measured(args: argparse.Namespace) -> dict[str, Any]:
         time.sleep(2.0)
         count, used = round(args.seconds * args.rate), cpu_s(process.pid)
         last = NS_PER_S * (_WARM_UP + 4)
-        sent = play(node, process, source, count, args.rate, last)
+        trouble = trouble_of(args, process.pid)
+        sent = play(node, process, source, count, args.rate, last, trouble)
         time.sleep(1.5)
         used = cpu_s(process.pid) - used
         process.check()
@@ -154,6 +203,7 @@ def measured(args: argparse.Namespace) -> dict[str, Any]:
         'answers a second': answered / args.seconds,
         **{f'p{p} ms': float(np.percentile(delays, p)) for p in (50, 95, 100) if answered},
         'cpu %': 100.0 * used / args.seconds,
+        'off later mm, deg': off(heard, list(sent), 2 * len(clouds) - 2),
         'clouds': dict(heard.clouds),
         'status': {
             k: heard.status.get(k)
@@ -170,6 +220,8 @@ def main() -> int:
     parser.add_argument('--every', type=int, default=1, help='take every n-th scan')
     parser.add_argument('--rate', type=float, default=10.0, help='scans a second')
     parser.add_argument('--seconds', type=float, default=30.0)
+    parser.add_argument('--burst', type=int, default=0, help='clouds that come at once')
+    parser.add_argument('--stall', type=float, default=0.0, help='seconds the node stands still')
     parser.add_argument('--json', type=Path)
     args = parser.parse_args()
     found = measured(args)

@@ -175,9 +175,6 @@ class PreprocessConfig(Section):
         'last point',
         choices=('stamp', 'start', 'end'),
     )
-    map_thinning: float = option(
-        0.5, 'edge length of the thinning cubes for the map, in voxels', low=0.1, high=4.0
-    )
     icp_thinning: float = option(
         1.5, 'edge length of the thinning cubes for registration, in voxels', low=0.5, high=8.0
     )

@@ -31,6 +31,11 @@ _ENOUGH = {'depth': 4500, 'lidar': 2500}
 _MOST = {'depth': 5000, 'lidar': 2500}
 """Points registered at most. 2,500 of a lidar's 4,600 take half the time, and ATE of six lidar
 sequences is 1.04 times as large (docs/lab/2026-11-29-step-time.md)."""
+_THINNING = 0.5
+"""Edge of the cubes of which map, mask and network get one point each, in voxels."""
+_THINNED = 20_000
+"""Points that this leaves of a scan, about, at most; else the cubes are larger: 21,000 instead of
+35,000 points of an HDL-64 give the same ATE (docs/lab/2026-11-29-three-quarters.md)."""
 _INDEPENDENT = 2500
 """Of more points than this, found by finer cubes, the further ones repeat what the others say."""
 _DEFAULT_RANGES_M = {'depth': (0.2, 8.0), 'lidar': (0.5, 100.0)}
@@ -53,12 +58,14 @@ class SensorModel:
         voxel_size_m: edge of a map voxel.
         min_range_m: nearer points are ignored.
         max_range_m: farther points are ignored.
+        thinning_m: edge of the cubes that thin a scan for map, mask and network.
     """
 
     kind: str
     voxel_size_m: float
     min_range_m: float
     max_range_m: float
+    thinning_m: float
 
     def outgrown_by(self, now: SensorModel) -> bool:
         """Whether what a later scan shows calls for another map: far larger, or a lidar after all.
@@ -104,7 +111,11 @@ def recognise_sensor(points: NDArray[np.float32], config: OdometryConfig) -> Sen
     voxel = config.voxel_size_m or round(
         float(np.clip(_VOXEL_PER_RANGE[kind] * usual, 0.02, 1.0)), 3
     )
-    return SensorModel(kind, voxel, low, high)
+    thinning = _THINNING * voxel
+    seen = points[_in_range(points, low * low, high * high)]
+    many = len(first_per_voxel(seen, thinning)) / _THINNED
+    thinning *= max(1.0, many) ** 0.5  # points lie on surfaces
+    return SensorModel(kind, voxel, low, high, thinning)
 
 
 def usual_range(points: NDArray[np.float64]) -> float:
@@ -140,11 +151,10 @@ def preprocess(
     if deskewed and scan.times is not None and np.any(twist):
         points = deskew(points, scan.times, twist, instant_s)
     usable = _in_range(points, sensor.min_range_m**2, sensor.max_range_m**2)
-    size = config.map_thinning * sensor.voxel_size_m
     member = _every_kth(usable, config.max_points)
-    table, slots, _, map_rows, _, cube = occupied(points, size, member)
+    table, slots, _, map_rows, _, cube = occupied(points, sensor.thinning_m, member)
     if member is not usable:
-        cube = voxel_of(points, size, usable, table, slots)
+        cube = voxel_of(points, sensor.thinning_m, usable, table, slots)
     means, counts = means_of(points, cube, len(map_rows))
     found, share = _for_registration(points[map_rows], sensor, config)
     icp_rows = map_rows[found]
@@ -187,7 +197,7 @@ def _for_registration(
         return rows, 1.0
     independent = max(len(rows), _INDEPENDENT)
     finer = size * np.sqrt(len(rows) / enough)  # points lie on surfaces
-    rows = first_per_voxel(points, max(finer, config.map_thinning * sensor.voxel_size_m))
+    rows = first_per_voxel(points, max(finer, sensor.thinning_m))
     return rows, min(1.0, independent / len(rows))
 
 

@@ -12,7 +12,7 @@ from hybridreg_ros.odometry.preprocess import SensorModel, certainty
 from hybridreg_ros.odometry.registration.kernels import PLANE
 from hybridreg_ros.odometry.registration.surfaces import Surfaces
 
-SENSOR = SensorModel('depth', 0.08, 0.2, 8.0)
+SENSOR = SensorModel('depth', 0.08, 0.2, 8.0, 0.04)
 FAR_M = 5.6
 
 

@@ -51,7 +51,7 @@ def test_map_points_average_what_is_measured_around_them() -> None:
 
 def test_far_points_of_a_depth_camera_count_less_and_those_of_a_lidar_do_not() -> None:
     points = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 4.0]])
-    depth = certainty(points, SensorModel('depth', 0.05, 0.2, 8.0))
+    depth = certainty(points, SensorModel('depth', 0.05, 0.2, 8.0, 0.025))
     assert depth[0] > 0.9
     assert depth[1] < 0.05
-    assert (certainty(points, SensorModel('lidar', 0.3, 0.5, 100.0)) == 1.0).all()
+    assert (certainty(points, SensorModel('lidar', 0.3, 0.5, 100.0, 0.15)) == 1.0).all()

@@ -60,12 +60,12 @@ class StaticHead(nn.Module):
             weight: (N,) of the points in the means; None: all alike.
         """
         # In blocks that stay in the cache: fresh pages would take longer than the arithmetic.
-        points = [self.point(block).relu_() for block in looks.split(_BLOCK)]
-        inside = owners[0].split(_BLOCK)
+        points = [self.point(block).relu_() for block in torch.split(looks, _BLOCK)]
+        inside = torch.split(owners[0], _BLOCK)
         sizes, means = [*map(len, owners[1:]), 1 + int(owners[-1].max())], []
         count = looks.new_ones(len(looks)) if weight is None else weight
         total = looks.new_zeros(sizes[0], self.point.out_features)
-        for x, owner, w in zip(points, inside, count.split(_BLOCK), strict=True):
+        for x, owner, w in zip(points, inside, torch.split(count, _BLOCK), strict=True):
             total = total.index_add(0, owner, x if weight is None else w[:, None] * x)
         for level, size in enumerate(sizes):
             if level:

@@ -34,16 +34,18 @@ FULL = Budget()
 """Budget where the first look is not sure, and to find the pose again after a loss."""
 EFFORTS = (
     Effort(0, 1, thorough=True),
-    Effort(1, 2, thorough=False),
-    Effort(2, 3, thorough=False),
+    Effort(1, 1, thorough=False),
+    Effort(2, 2, thorough=False),
+    Effort(3, 3, thorough=False),
 )
 """From all to least."""
-_CALM_SCANS = 20
-"""So many scans in a row without a dropped cloud, and a level less is tried."""
+_CALM_SCANS = 20, 320
+"""So many scans in a row in time, and a level less is tried: at least, and at most where that has
+failed again and again."""
 
 
 class Load:
-    """Less per scan at once when clouds are dropped, more again after a calm while.
+    """Less per scan at once when clouds have to wait, more again after a calm while.
 
     What the front end's own slowness drops makes the steps between scans larger and each of them
     harder; so it must not go on doing all of a step.
@@ -52,17 +54,23 @@ class Load:
     def __init__(self) -> None:
         self._level = 0
         self._calm = 0
+        self._patience = _CALM_SCANS[0]
 
     def effort(self, behind: bool) -> Effort:
         """Effort for the next scan.
 
         Args:
-            behind: whether clouds were dropped since the last scan because it took too long.
+            behind: whether later clouds wait already, or were dropped since the last scan.
         """
+        low, high = _CALM_SCANS
         if behind:
             self._level, self._calm = min(self._level + 1, len(EFFORTS) - 1), 0
-        else:
-            self._calm += 1
-            if self._calm >= _CALM_SCANS:
-                self._level, self._calm = max(self._level - 1, 0), 0
+            self._patience = min(2 * self._patience, high)
+            return EFFORTS[self._level]
+        self._calm += 1
+        if self._calm >= self._patience:
+            self._calm = 0
+            if self._level == 0:
+                self._patience = max(self._patience // 2, low)
+            self._level = max(self._level - 1, 0)
         return EFFORTS[self._level]

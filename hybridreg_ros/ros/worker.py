@@ -228,6 +228,7 @@ class Worker:
     def _locate_all(self) -> None:
         """Find the pose of each decoded cloud and publish it."""
         while (ready := self._ready.get()) is not None:
+            self._behind |= self._queue.half_full  # now: the next cloud has not been taken yet
             self._taken.release()
             with self._busy:
                 if ready.epoch == self._epoch:

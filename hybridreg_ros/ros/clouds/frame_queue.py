@@ -71,6 +71,11 @@ class FrameQueue(Generic[T]):
             self._condition.notify_all()
             return count
 
+    @property
+    def half_full(self) -> bool:
+        """Whether half of what may wait does."""
+        return 2 * len(self._items) >= self._depth
+
     def __len__(self) -> int:
         """Number of waiting items."""
         return len(self._items)

@@ -53,10 +53,10 @@ def parser() -> argparse.ArgumentParser:
         '--lossless',
         type=int,
         nargs='?',
-        const=2,
+        const=1,
         default=0,
         metavar='N',
-        help='never have more than N clouds (2 if N is left out) in progress in the odometry '
+        help='never have more than N clouds (1 if N is left out) in progress in the odometry '
         'node; implies --wait',
     )
     p.add_argument(

@@ -159,8 +159,8 @@ class HybridOdometry:
 
         Args:
             scan: the scan.
-            behind: whether later scans wait already, or were left out since the last one; then less
-                is done per scan for a while (`odometry/load.py`).
+            behind: whether later scans wait already, or were left out since the last one; then
+                less is done per scan for a while (`odometry/load.py`).
             prepared: it by `prepare`, if that was called; of no use after a reset.
 
         Returns:

@@ -191,9 +191,10 @@ class Worker:
                 after.put(None)
 
     def _decode_all(self) -> None:
-        """Decode clouds, one ahead of that which is located, and prepare them.
+        """Decode clouds and prepare them.
 
-        The next one is taken when the last one has been: the newest then.
+        The next one is taken when the pose of the last one is known: the newest then. Mask and map
+        of the last one are made meanwhile.
         """
         while self._taken.acquire() and (arrival := self._queue.get()) is not None:
             ready = None
@@ -228,13 +229,15 @@ class Worker:
     def _locate_all(self) -> None:
         """Find the pose of each decoded cloud and publish it."""
         while (ready := self._ready.get()) is not None:
-            self._behind |= self._queue.half_full  # now: the next cloud has not been taken yet
-            self._taken.release()
-            with self._busy:
-                if ready.epoch == self._epoch:
-                    self._locate(ready)
-                else:
-                    self._monitor.dropped(Drop.RESET, 'waiting while ~/reset was called')
+            self._behind |= self._queue.half_full
+            try:
+                with self._busy:
+                    if ready.epoch == self._epoch:
+                        self._locate(ready)
+                    else:
+                        self._monitor.dropped(Drop.RESET, 'waiting while ~/reset was called')
+            finally:
+                self._taken.release()
 
     def _locate(self, ready: Ready) -> None:
         scan = ready.scan

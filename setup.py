@@ -93,6 +93,8 @@ setup(
             'types-PyYAML',
             'types-tqdm',
             'colcon-common-extensions>=0.3.0',
+            'ipykernel>=6.29',
+            'nbclient>=0.10',
         ],
     },
     zip_safe=False,

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print or write the settings as YAML that `--config` reads."""
+    """Print or write the settings as a ROS parameter file, which `--config` reads too."""
     config = odometry_config(args.config)
-    text = dump_yaml(config)
+    text = '/**:\n  ros__parameters:\n' + dump_yaml(config, indent=4)
     if args.out is None:
         print(text, end='')
     else:

@@ -34,6 +34,7 @@ setup(
             'odometry/dynamics/*.npz',
             'odometry/selection/*.json',
             'ros/*.xml',
+            'replay/*.json',
             'replay/page/*.html',
             'replay/page/*.js',
             'replay/page/*.css',

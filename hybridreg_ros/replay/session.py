@@ -203,9 +203,8 @@ def replay(
         bag = open_log(job.bag)
         stack.enter_context(bag)
         truth = truth_of(job, bag)
-        tum = stack.enter_context(contextlib.closing(outputs.TumFile(job.out / 'odometry.tum')))
-        made = outputs.OutputBag(job.out / 'dynamic.mcap', job.clouds, threshold)
-        stack.enter_context(contextlib.closing(made))
+        files = outputs.OutputFiles(job.out, job.clouds, threshold)
+        stack.enter_context(contextlib.closing(files))
         mapped = [MapSink(job.out, threshold, job.config)] if wanted else []
         for sink in mapped:
             stack.enter_context(contextlib.closing(sink))
@@ -215,24 +214,23 @@ def replay(
         log = runner.run(
             (f if f.scan is None else f._replace(scan=front_end.seen(f.scan)) for f in frames),
             front_end,
-            (tum, made, album, seen, *mapped, *film, *also),
+            (files, album, seen, *mapped, *film, *also),
             job.stride,
             job.max_frames,
             threshold,
             tick,
             stop,
         )
-        recovered = bag.recovered
         about: dict[str, Any] = {'map': _write_map(job, mapped[0].make())} if mapped else {}
-    if job.video is not None:
-        film[0].write(job.video)
-    if recovered is not None:
-        log.notes.append(f'the bag is cut off, {recovered} messages were recovered')
-    if job.config.registrar == 'hybridreg' and not front_end.has_network:
-        log.notes.append('no network weights: kiss-icp registers every scan')
-    about |= {'topic': topic, 'stride': job.stride, 'live': False, 'recovered': recovered}
-    runs = [b.run(truth) for b in also]
-    return finish(job, log, truth, album.views(), about, seen.scene(), runs)
+        if job.video is not None:
+            film[0].write(job.video)
+        if bag.recovered is not None:
+            log.notes.append(f'the bag is cut off, {bag.recovered} messages were recovered')
+        if job.config.registrar == 'hybridreg' and not front_end.has_network:
+            log.notes.append('no network weights: kiss-icp registers every scan')
+        about |= {'topic': topic, 'stride': job.stride, 'live': False, 'recovered': bag.recovered}
+        runs = [b.run(truth) for b in also]
+        return finish(job, log, truth, album.views(), about, seen.scene(), runs, [files])
 
 
 def _write_map(job: Job, made: CleanMap) -> MapReport:
@@ -249,10 +247,11 @@ def finish(
     truth: Trajectory | None,
     views: list[FrameView],
     about: dict[str, Any],
-    scene: Scene | None = None,
-    beside: Sequence[ReportRun] = (),
+    scene: Scene,
+    beside: Sequence[ReportRun],
+    sinks: Sequence[outputs.Ending],
 ) -> ReportRun:
-    """Score a run, live or offline, and write metrics.json and report.html.
+    """Score a run, live or offline, end its files, and write metrics.json and report.html.
 
     Args:
         job: what was done.
@@ -262,14 +261,18 @@ def finish(
         about: further entries of metrics.json.
         scene: what the 3D view shows.
         beside: other runs on the same clouds.
+        sinks: take the paths.
     """
-    scores = outputs.score_log(log, truth)
+    scores, made = outputs.score_log(log, truth), log.trajectory()
+    errors = None if truth is None or scores.trajectory is None else frame_errors(log, truth)
+    for sink in sinks:
+        sink.end(made, scene.optical, truth, None if errors is None else errors.T_odom_world)
     metrics = outputs.metrics_of(
         log,
         scores,
         to_dict(job.config),
         job.bag,
-        None if truth is None or scores.trajectory is None else frame_errors(log, truth),
+        errors,
         registrar=job.config.registrar,
         asked=asked(job),
         beside={r.name: r.scores.trajectory for r in beside},
@@ -284,7 +287,7 @@ def finish(
         f'{log.wall_s:.1f} s of computation',
         [run, *beside],
     )
-    outputs.write_trajectories(job.out, log.trajectory(), truth)
+    outputs.write_trajectories(job.out, made, truth)
     # Last, since it is the sign that a run is finished.
     outputs.write_json(job.out / 'metrics.json', metrics)
     return run

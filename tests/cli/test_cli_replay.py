@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -18,8 +19,11 @@ from tiny_bags import PERIOD, START, cloud_bytes, room_cloud, sensor_pose, write
 
 from hybridreg_ros.cli.main import main
 from hybridreg_ros.core.pointcloud2 import CloudData, from_arrays
+from hybridreg_ros.core.quaternion import from_quaternion
+from hybridreg_ros.metrics.trajectory import Trajectory
 from hybridreg_ros.replay.bag_reader import open_bag
 from hybridreg_ros.replay.bag_writer import BagWriter
+from hybridreg_ros.replay.outputs import OutputFiles
 from hybridreg_ros.replay.page.report import plotly_script
 
 KISS = ['--registrar', 'kiss-icp']
@@ -31,6 +35,7 @@ OUTPUTS = {
     'metrics.json',
     'report.html',
     'dynamic.mcap',
+    'foxglove.json',
 }
 
 
@@ -159,9 +164,48 @@ def test_dynamic_bag_keeps_fields_and_all_points(replayed: Path) -> None:
             assert names == ['x', 'y', 'z', 'intensity', 'label', 'dynamic_probability']
             assert message.header.frame_id == 'lidar'  # type: ignore[attr-defined]
             sizes[stamp] = sizes.get(stamp, 0) + message.width  # type: ignore[attr-defined]
-    topics = ('/hybridreg/odom', '/hybridreg/dynamic_points', '/hybridreg/static_points')
-    assert counts == dict.fromkeys(topics, 12)
+    often = ('odom', 'dynamic_points', 'static_points')
+    each = [f'/hybridreg/{name}' for name in often] + ['/tf', '/ground_truth/odom']
+    once = {'/tf_static': 2, '/hybridreg/path': 1, '/ground_truth/path': 1}
+    assert counts == dict.fromkeys(each, 12) | once
     assert set(sizes.values()) == {3000 + 750 + 300}
+
+
+def test_viewer_finds_every_cloud_and_path_in_one_frame(replayed: Path) -> None:
+    """The transforms lead from `upright` to the sensor, and the truth lies on the path."""
+    layout = (replayed / 'foxglove.json').read_text()
+    shown = json.loads(layout)['configById']['3D!scene']
+    frames: dict[tuple[str, str], list[np.ndarray]] = {}
+    with open_bag(replayed / 'dynamic.mcap') as bag:
+        assert set(re.findall(r'"(/\w+/\w+)', layout)) <= set(bag.topics)
+        for message in bag.messages(['/tf', '/tf_static']):
+            for t in bag.decode(message).transforms:
+                p = t.transform.translation
+                pair = (t.header.frame_id, t.child_frame_id)
+                frames.setdefault(pair, []).append(np.array([p.x, p.y, p.z]))
+        paths = [bag.decode(m) for m in bag.messages(['/hybridreg/path', '/ground_truth/path'])]
+        odometry = bag.trajectory('/hybridreg/odom')
+        assert next(bag.messages()).stamp == START, 'paths are there from the first frame on'
+    assert set(frames) == {(shown['followTf'], 'odom'), ('odom', 'lidar'), ('odom', 'world')}
+    assert np.array_equal(frames['odom', 'lidar'], odometry.poses[:, :3, 3])
+    made, truth = (
+        np.array([[p.pose.position.x, p.pose.position.y, p.pose.position.z] for p in path.poses])
+        for path in sorted(paths, key=lambda path: path.header.frame_id)
+    )
+    assert np.array_equal(made, odometry.poses[:, :3, 3])
+    assert made.shape == truth.shape
+
+
+@pytest.mark.parametrize('optical', [False, True])
+def test_upright_frame_has_the_scene_above_its_floor(tmp_path: Path, optical: bool) -> None:
+    files = OutputFiles(tmp_path)
+    files.write_odometry(START, ('odom', 'camera'), np.eye(4))
+    files.end(Trajectory(np.array([START]), np.eye(4)[None]), optical)
+    with open_bag(tmp_path / 'dynamic.mcap') as bag:
+        (message,) = bag.messages(['/tf_static'])
+        q = bag.decode(message).transforms[0].transform.rotation
+    up = [0.0, -1.0, 0.0] if optical else [0.0, 0.0, 1.0]
+    np.testing.assert_allclose(from_quaternion(q.x, q.y, q.z, q.w) @ up, [0, 0, 1], atol=1e-12)
 
 
 def test_score_of_the_outputs_equals_the_metrics(
@@ -197,7 +241,7 @@ def test_stride_and_max_frames(room_bag: Path, tmp_path: Path) -> None:
     ]
     assert stamps == [START + i * PERIOD for i in (0, 3, 6)]
     with open_bag(tmp_path / 'dynamic.mcap') as bag:
-        assert set(bag.topics) == {'/hybridreg/odom'}
+        assert not any(t.msgtype.endswith('PointCloud2') for t in bag.topics.values())
 
 
 def test_default_front_end_without_weights_says_so(

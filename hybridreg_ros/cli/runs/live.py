@@ -13,6 +13,7 @@ from hybridreg_ros.core.progress import bar
 from hybridreg_ros.replay import session
 from hybridreg_ros.replay.bag_reader import open_bag
 from hybridreg_ros.replay.live_log import LiveRecorder
+from hybridreg_ros.replay.outputs import OutputFiles
 from hybridreg_ros.replay.runner import INTERRUPTED, Drop
 
 if TYPE_CHECKING:
@@ -91,9 +92,13 @@ def replay_live(
     with open_bag(job.bag) as bag:  # a folder of files cannot be played
         truth = session.truth_of(job, bag)
     job.out.mkdir(parents=True, exist_ok=True)
-    recorder = LiveRecorder(job.out, count)
+    files = OutputFiles(job.out)
+    recorder = LiveRecorder(files, count)
     about: dict[str, Any] = {'topic': topic, 'stride': 1, 'live': True, 'rate': options.rate}
-    with bar(count, job.bag.name) as shown, contextlib.closing(recorder):
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(contextlib.closing(files))
+        stack.enter_context(contextlib.closing(recorder))
+        shown = stack.enter_context(bar(count, job.bag.name))
 
         def on_odom(msg: Any) -> None:
             recorder.on_odom(msg)
@@ -120,9 +125,11 @@ def replay_live(
             ]
         except KeyboardInterrupt:
             recorder.log.interrupted = INTERRUPTED
-    runs = [] if beside is None else [_afterwards(job, topic, beside, truth)]
-    views, seen = recorder.album.views(), recorder.seen.scene()
-    return session.finish(job, recorder.log, truth, views, about, seen, runs)
+        shown.close()
+        recorder.close()
+        runs = [] if beside is None else [_afterwards(job, topic, beside, truth)]
+        views, seen = recorder.album.views(), recorder.seen.scene()
+        return session.finish(job, recorder.log, truth, views, about, seen, runs, [files])
 
 
 def _afterwards(

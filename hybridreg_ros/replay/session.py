@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hybridreg_ros.core.config import load_yaml, to_dict
 from hybridreg_ros.core.pages import one_heap
@@ -22,6 +22,7 @@ from hybridreg_ros.replay.interrupt import StopRequest
 from hybridreg_ros.replay.page.pictures import Album, Film
 from hybridreg_ros.replay.page.report import ReportRun, write_report
 from hybridreg_ros.replay.page.scene import SceneSink
+from hybridreg_ros.replay.rerun_sink import RerunSink
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -59,7 +60,8 @@ class Job:
         compare: run kiss-icp alone beside it.
         map: file (.ply, .pcd, ...) for the cleaned map, None for none.
         moving: file for the points that moved.
-        video: .gif of what the sensor saw, with its moving points.
+        video: .gif, .webp or .mp4 of what the sensor saw, with its moving points.
+        rerun: 'live', the address of a viewer or a .rrd file for Rerun, '' for none.
     """
 
     bag: Path
@@ -80,6 +82,7 @@ class Job:
     map: Path | None = None
     moving: Path | None = None
     video: Path | None = None
+    rerun: str = ''
 
 
 def asked(job: Job) -> dict[str, Any]:
@@ -134,16 +137,29 @@ def truth_of(job: Job, bag: Log) -> Trajectory | None:
     return follow(truth, extrinsic_of(job.extrinsic))
 
 
-def planned_frames(job: Job) -> tuple[str, int]:
-    """Cloud topic of a job's bag and how many clouds of it will be taken.
+class Plan(NamedTuple):
+    """Topic of the clouds of a log, how many of them will be taken, and what was chosen."""
+
+    topic: str
+    count: int
+    note: str
+
+
+def plan_of(job: Job) -> Plan:
+    """What will be taken of a job's log.
 
     Raises:
-        BagError: the bag cannot be read, or has no such topic.
+        BagError: the log cannot be read, or has no such topic.
     """
     with open_log(job.bag) as bag:
         topic = bag.cloud_topic(job.topic)
         count = -(-bag.topics[topic].messages // job.stride)
-    return topic, count if job.max_frames is None else min(count, job.max_frames)
+        kind = bag.topics[topic].msgtype
+        others = sorted(t.name for t in bag.topics.values() if t.msgtype == kind)
+    others.remove(topic)
+    note = f'clouds of {topic}; --topic chooses another one ({", ".join(others)})'
+    most = job.max_frames or count
+    return Plan(topic, min(count, most), note if others and job.topic is None else '')
 
 
 class Beside:
@@ -191,7 +207,7 @@ def replay(
         BagError: the bag cannot be opened or has no usable topic.
         WeightsError: the checkpoint cannot be used.
     """
-    topic, count = planned_frames(job)
+    topic, count, chosen = plan_of(job)
     threshold = job.config.dynamics.threshold
     front_end = open_front_end(job.config, job.weights)
     job.out.mkdir(parents=True, exist_ok=True)
@@ -206,7 +222,8 @@ def replay(
         files = outputs.OutputFiles(job.out, job.clouds, threshold)
         stack.enter_context(contextlib.closing(files))
         mapped = [MapSink(job.out, threshold, job.config)] if wanted else []
-        for sink in mapped:
+        shown = [RerunSink(job.rerun, job.bag.stem, threshold)] if job.rerun else []
+        for sink in (*mapped, *shown):
             stack.enter_context(contextlib.closing(sink))
         stop = stack.enter_context(StopRequest())
         every = bag.frames(topic, job.time_unit, job.time_field)
@@ -214,7 +231,7 @@ def replay(
         log = runner.run(
             (f if f.scan is None else f._replace(scan=front_end.seen(f.scan)) for f in frames),
             front_end,
-            (files, album, seen, *mapped, *film, *also),
+            (files, album, seen, *mapped, *film, *shown, *also),
             job.stride,
             job.max_frames,
             threshold,
@@ -224,13 +241,14 @@ def replay(
         about: dict[str, Any] = {'map': _write_map(job, mapped[0].make())} if mapped else {}
         if job.video is not None:
             film[0].write(job.video)
+        log.notes += [chosen] if chosen else []
         if bag.recovered is not None:
             log.notes.append(f'the bag is cut off, {bag.recovered} messages were recovered')
         if job.config.registrar == 'hybridreg' and not front_end.has_network:
             log.notes.append('no network weights: kiss-icp registers every scan')
         about |= {'topic': topic, 'stride': job.stride, 'live': False, 'recovered': bag.recovered}
         runs = [b.run(truth) for b in also]
-        return finish(job, log, truth, album.views(), about, seen.scene(), runs, [files])
+        return finish(job, log, truth, album.views(), about, seen.scene(), runs, (files, *shown))
 
 
 def _write_map(job: Job, made: CleanMap) -> MapReport:

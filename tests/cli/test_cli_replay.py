@@ -8,6 +8,7 @@ import json
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -196,6 +197,45 @@ def test_viewer_finds_every_cloud_and_path_in_one_frame(replayed: Path) -> None:
     assert made.shape == truth.shape
 
 
+def test_run_in_rerun(room_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip('rerun')
+    arguments = ['replay', str(room_bag), *KISS, '--out', str(tmp_path / 'o'), '--overwrite']
+    shown = tmp_path / 'run.rrd'
+    assert main([*arguments, '--rerun', str(shown)]) == 0
+    rerun = Path(sys.executable).parent / 'rerun'
+    printed = subprocess.run(
+        [rerun, 'rrd', 'print', '-v', shown], capture_output=True, text=True, check=True
+    ).stdout
+    for entity in ('sensor/still', 'sensor/moving', 'path', 'truth'):
+        assert f'/odom/{entity}' in printed
+    assert '/confidence' in printed
+    assert main([*arguments, '--rerun', 'run.txt']) == 2
+    assert 'expected a file ending in .rrd' in capsys.readouterr().err
+
+
+def test_run_in_a_rerun_that_runs(room_bag: Path, tmp_path: Path) -> None:
+    """Live: a viewer without a window takes what is sent, and saves it."""
+    pytest.importorskip('rerun')
+    with socket.socket() as free:
+        free.bind(('127.0.0.1', 0))
+        port = free.getsockname()[1]
+    viewer = subprocess.Popen(
+        [Path(sys.executable).parent / 'rerun', '--port', str(port), '--save', tmp_path / 'a.rrd']
+    )
+    try:
+        address = f'rerun+http://127.0.0.1:{port}/proxy'
+        arguments = ['replay', str(room_bag), *KISS, '--out', str(tmp_path / 'o')]
+        assert main([*arguments, '--rerun', address]) == 0
+        end = time.monotonic() + 60
+        saved = tmp_path / 'a.rrd'
+        while not (saved.exists() and saved.stat().st_size > 100_000) and time.monotonic() < end:
+            time.sleep(0.2)
+        assert saved.stat().st_size > 100_000
+    finally:
+        viewer.terminate()
+        viewer.wait(30)
+
+
 @pytest.mark.parametrize('optical', [False, True])
 def test_upright_frame_has_the_scene_above_its_floor(tmp_path: Path, optical: bool) -> None:
     files = OutputFiles(tmp_path)
@@ -322,6 +362,25 @@ def test_clouds_without_stamps_are_replayed_by_log_time(tmp_path: Path) -> None:
     assert metrics['per_frame'][2]['stamp'] == START + 2 * PERIOD
 
 
+def test_of_several_topics_one_is_taken_and_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with BagWriter(tmp_path / 'two.mcap') as bag:
+        for topic, frames in {'/front': 2, '/rear': 3, '/top': 3}.items():
+            for i in range(frames):
+                bag.write_cloud(topic, START + i * PERIOD, 'lidar', room_cloud(i))
+    arguments = ['replay', str(tmp_path / 'two.mcap'), '--out', str(tmp_path / 'o'), *KISS]
+    assert main(arguments) == 0
+    said = capsys.readouterr().err
+    assert '3 clouds of /rear' in said
+    assert 'clouds of /rear; --topic chooses another one (/front, /top)' in said
+    page = (tmp_path / 'o' / 'report.html').read_text('utf-8')
+    assert '--topic chooses another one' in page
+    assert main([*arguments, '--overwrite', '--topic', '/front']) == 0
+    assert 'chooses another' not in capsys.readouterr().err
+    assert json.loads((tmp_path / 'o' / 'metrics.json').read_text())['frames'] == 2
+
+
 def test_bag_without_truth_is_replayed_unscored(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -346,7 +405,6 @@ def test_cut_off_mcap_is_replayed_with_a_warning(
 
 
 def test_bad_bags_give_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_room_bag(tmp_path / 'two.mcap', 1, topics=('/front', '/rear'))
     (tmp_path / 'no.mcap').write_bytes(b'hello')
     write_room_bag(tmp_path / 'cut.db3', 4)
     data = (tmp_path / 'cut.db3').read_bytes()
@@ -355,7 +413,6 @@ def test_bad_bags_give_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[st
         bag.write_odometry('/odom', START, ('odom', 'base'), np.eye(4))
     for name, text in {
         'gone.mcap': 'no bag at',
-        'two.mcap': 'choose one with --topic: /front, /rear',
         'no.mcap': 'cannot read bag',
         'cut.db3': '.recover',
         'odom.mcap': 'has no PointCloud2 topic',

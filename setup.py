@@ -34,6 +34,7 @@ setup(
             'odometry/dynamics/*.npz',
             'odometry/selection/*.json',
             'ros/*.xml',
+            'replay/*.json',
             'replay/page/*.html',
             'replay/page/*.js',
             'replay/page/*.css',
@@ -77,6 +78,7 @@ setup(
         ],
         'docs': ['mkdocs>=1.6,<2', 'mkdocs-material>=9.6,<10', 'mkdocstrings[python]>=0.29'],
         'scale': ['dask>=2026.8', 'distributed>=2026.8'],
+        'view': ['rerun-sdk>=0.24', 'imageio-ffmpeg>=0.6'],
         'bench': [
             'open3d-cpu>=0.20',
             'kiss-matcher>=1.0.2,<2',

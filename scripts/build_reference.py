@@ -341,7 +341,7 @@ def files() -> str:
 def replay_files() -> Iterator[str]:
     """Bags, folders, and what a replay writes."""
     outputs = Code(f'{PACKAGE}.replay.outputs')
-    topics = [outputs.constant(f'{n}_TOPIC') for n in ('ODOM', 'DYNAMIC', 'STATIC')]
+    topics = [outputs.constant(f'{n}_TOPIC') for n in ('ODOM', 'DYNAMIC', 'STATIC', 'PATH')]
     field = outputs.constant('PROBABILITY_FIELD')
     yield '## Clouds'
     yield Code(f'{PACKAGE}.data.loaders.clouds').doc
@@ -357,7 +357,10 @@ def replay_files() -> Iterator[str]:
     listed = ', '.join(f'`{t}`' for t in topics)
     yield (
         f'{listed}, as the node publishes them: the clouds keep every field of the input and '
-        f'add `{field}` (float32).'
+        f'add `{field}` (float32). `/tf` leads from `odom` to the sensor, `/tf_static` from '
+        '`upright`, whose z points up, to `odom`, and to `world`, the frame of '
+        '`/ground_truth/path` and `/ground_truth/odom`, aligned with the path. `foxglove.json` '
+        'beside it is a layout of Foxglove (import from file) that shows all of it.'
     )
     yield '## metrics.json'
     keys = outputs.keys('metrics_of')

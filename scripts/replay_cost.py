@@ -85,7 +85,7 @@ def main() -> None:
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as name, open_bag(args.bag) as opened:
         spent: Counter[str] = Counter()
-        made = outputs.OutputBag(Path(name) / 'a.mcap')
+        made = outputs.OutputFiles(Path(name))
         sinks = {'scene': SceneSink(), 'pictures': Album(100), 'dynamic.mcap': made}
         timed = [Timed(sink, text, spent) for text, sink in sinks.items()]
         front = Timed(open_front_end(OdometryConfig(), None), 'front end', spent)

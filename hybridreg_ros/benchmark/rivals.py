@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.core.errors import DependencyError
+from hybridreg_ros.core.errors import require
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -37,14 +37,11 @@ class GenzIcp:
     def __init__(
         self, voxel_size_m: float, max_range_m: float, min_range_m: float, deskew: bool = True
     ) -> None:
-        try:
-            from genz_icp.config import GenZConfig
-            from genz_icp.config.config import DataConfig, MappingConfig
-            from genz_icp.genz_icp import GenZICP
-        except ImportError:
-            raise DependencyError(
-                "genz-icp is not installed: pip install 'hybridreg_ros[bench]'"
-            ) from None
+        require('genz-icp', 'bench', 'genz_icp')
+        from genz_icp.config import GenZConfig
+        from genz_icp.config.config import DataConfig, MappingConfig
+        from genz_icp.genz_icp import GenZICP
+
         self._low, self._high = min_range_m, max_range_m
         self._deskew = deskew
         self._pose = np.eye(4)
@@ -95,12 +92,9 @@ class GicpToKeyframe:
         min_range_m: float,
         keyframe_share: float = 0.7,
     ) -> None:
-        try:
-            import small_gicp  # noqa: F401
-        except ImportError:
-            raise DependencyError(
-                "small_gicp is not installed: pip install 'hybridreg_ros[bench]'"
-            ) from None
+        require('small-gicp', 'bench', 'small_gicp')
+        import small_gicp  # noqa: F401
+
         self._voxel = voxel_size_m
         self._low, self._high = min_range_m, max_range_m
         self._share = keyframe_share

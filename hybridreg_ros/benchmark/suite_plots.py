@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hybridreg_ros.core.errors import DependencyError
+from hybridreg_ros.core.errors import require
 from hybridreg_ros.metrics.calibration import reliability, risk_coverage
 
 if TYPE_CHECKING:
@@ -22,10 +22,9 @@ _LEAST_MM = 0.1
 
 
 def _figure(width: float, height: float) -> Any:
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise DependencyError("plots need matplotlib: pip install 'hybridreg_ros[data]'") from None
+    require('a plot', 'data', 'matplotlib')
+    from matplotlib.figure import Figure
+
     return Figure(figsize=(width, height), layout='constrained')
 
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -20,6 +21,16 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Print the message with where help is found, and exit with 2."""
         self.exit(2, f'{self.prog}: error: {message} (see {self.prog} --help)\n')
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse; what is unknown is an error of its command, with the option that it resembles."""
+        found, unknown = self.parse_known_args(args, namespace)
+        if unknown:
+            command: argparse.ArgumentParser = found.parser
+            near = get_close_matches(unknown[0].split('=')[0], command._option_string_actions, 1)
+            hint = f', did you mean {near[0]}?' if near else ''
+            command.error(f'unrecognized arguments: {" ".join(unknown)}{hint}')
+        return found
 
 
 class _Version(argparse.Action):
@@ -87,7 +98,7 @@ def _command(commands: Commands, name: str, body: str, text: str) -> argparse.Ar
     parser: argparse.ArgumentParser = commands.add_parser(
         name, help=text, description=text[0].upper() + text[1:] + '.'
     )
-    parser.set_defaults(body=body)
+    parser.set_defaults(body=body, parser=parser)
     parser.add_argument(
         '--json', type=Path, metavar='FILE', help='write the result as JSON (-: print it)'
     )
@@ -170,6 +181,9 @@ def _register(commands: Commands) -> None:
     p.add_argument('--no-refine', action='store_true', help='skip the final refinement')
     p.add_argument(
         '--out', type=Path, metavar='FILE', help='write the aligned source (.ply, .pcd)'
+    )
+    p.add_argument(
+        '--html', type=Path, metavar='FILE', help='write a page with both clouds and what moves'
     )
     _weights(p)
 
@@ -262,7 +276,7 @@ def _replay(commands: Commands) -> None:
     )
     p.add_argument('--config', type=Path, metavar='YAML', help='settings (see dump-config)')
     _weights(p)
-    p.add_argument('--topic', help='PointCloud2 topic, if the bag has several')
+    p.add_argument('--topic', help='PointCloud2 topic (default: that with most messages)')
     p.add_argument('--truth-topic', help='topic with the true poses (default /ground_truth/odom)')
     _extrinsic(p, 'pose of the sensor in the body of the true poses')
     p.add_argument(
@@ -299,7 +313,13 @@ def _replay(commands: Commands) -> None:
         '--video',
         type=Path,
         metavar='FILE',
-        help='write a .gif or .webp of what the sensor saw, with its moving points',
+        help='write a .gif, .webp or .mp4 of what the sensor saw, with its moving points',
+    )
+    p.add_argument(
+        '--rerun',
+        metavar='live|FILE',
+        help='show the run in Rerun while it goes on (live, or the address of a viewer), or '
+        'write a .rrd file for it',
     )
     p.add_argument(
         '--no-compare', action='store_true', help='do not run kiss-icp alone on the same clouds'

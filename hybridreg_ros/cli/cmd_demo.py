@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 from hybridreg_ros.benchmark.baseline import KissIcpAlone
 from hybridreg_ros.cli.common import write_result
-from hybridreg_ros.cli.runs.live import LiveOptions, replay_live
+from hybridreg_ros.cli.runs.live import LiveOptions, check_ros, replay_live
+from hybridreg_ros.core.errors import require
 from hybridreg_ros.core.progress import progress
 from hybridreg_ros.replay import session
 from hybridreg_ros.replay.bag_writer import BagWriter
@@ -29,6 +30,10 @@ RATE_HZ = 10.0
 def run(args: argparse.Namespace) -> int:
     """Simulate, play, score, compare, report."""
     start = time.perf_counter()
+    report.check_packages()
+    check_ros()
+    if args.bag is None:
+        require('a simulated scene', 'data', 'embreex')
     args.out.mkdir(parents=True, exist_ok=True)
     bag = args.bag or _simulate(args)
     job = session.Job(bag=bag, out=args.out)

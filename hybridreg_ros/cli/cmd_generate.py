@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from hybridreg_ros.cli.common import write_result
-from hybridreg_ros.core.errors import ConfigError
+from hybridreg_ros.core.errors import ConfigError, require
 from hybridreg_ros.core.progress import bar
 from hybridreg_ros.data.hybridmatch.preview import write_preview
 from hybridreg_ros.data.hybridmatch.room_pairs import SPLITS, scene_of
@@ -28,6 +28,9 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         ConfigError: arguments contradict each other, or the split is unknown.
     """
+    require('a generated pair', 'data', 'embreex')
+    if args.preview:
+        require('--preview', 'data', 'matplotlib')
     if args.split == ALL:
         if args.seed is not None:
             raise ConfigError('generate all: every split has its own seeds; leave --seed out')

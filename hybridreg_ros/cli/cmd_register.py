@@ -10,7 +10,8 @@ import numpy as np
 
 from hybridreg_ros.cli.common import write_result
 from hybridreg_ros.core import se3
-from hybridreg_ros.data.loaders.clouds import read_cloud, write_cloud
+from hybridreg_ros.core.errors import ConfigError, require
+from hybridreg_ros.data.loaders.clouds import SUFFIXES, read_cloud, write_cloud
 from hybridreg_ros.model.register import HybridReg
 
 if TYPE_CHECKING:
@@ -19,6 +20,10 @@ if TYPE_CHECKING:
 
 def run(args: argparse.Namespace) -> int:
     """Register and print."""
+    if args.out is not None and args.out.suffix.lower() not in SUFFIXES:
+        raise ConfigError(f'--out {args.out}: expected a file ending in {", ".join(SUFFIXES)}')
+    if args.html is not None:
+        require('--html', 'replay', 'plotly')
     source, target = (read_cloud(f, args.columns) for f in (args.source, args.target))
     result = HybridReg.from_pretrained(args.weights).register(source, target, args.voxel)
     T = result.T_lgr if args.no_refine else result.T_target_source
@@ -38,6 +43,18 @@ def run(args: argparse.Namespace) -> int:
         args.out.parent.mkdir(parents=True, exist_ok=True)
         write_cloud(args.out, se3.apply(T, source.astype(np.float64)))
         print(f'written          {args.out}, the source in the frame of the target')
+    if args.html is not None:
+        from hybridreg_ros.replay.page.pair import write_pair
+
+        told = [
+            f'Confidence {result.confidence:.3f}; {result.inliers} of '
+            f'{len(result.correspondences)} correspondences agree.',
+            f'The source was moved by {np.linalg.norm(T[:3, 3]):.3f} m and turned by '
+            f'{se3.rotation_angle_deg(T[:3, :3]):.2f} degrees.',
+        ]
+        title = f'{args.source.name} on {args.target.name}'
+        write_pair(args.html, title, (source, target), T, result, told)
+        print(f'written          {args.html}')
     write_result(
         args,
         {

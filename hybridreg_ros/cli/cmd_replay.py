@@ -11,11 +11,14 @@ from typing import TYPE_CHECKING
 from hybridreg_ros.benchmark.baseline import KissIcpAlone
 from hybridreg_ros.cli.common import write_result
 from hybridreg_ros.cli.runs import fleet
-from hybridreg_ros.core.errors import BagError, ConfigError
+from hybridreg_ros.cli.runs.many import require_dask
+from hybridreg_ros.core.errors import BagError, ConfigError, require
 from hybridreg_ros.core.progress import bar
+from hybridreg_ros.data.loaders.clouds import SUFFIXES
 from hybridreg_ros.replay import session
 from hybridreg_ros.replay.page import tables
 from hybridreg_ros.replay.page.report import check_packages
+from hybridreg_ros.replay.rerun_sink import LIVE
 from hybridreg_ros.replay.session import odometry_config
 
 if TYPE_CHECKING:
@@ -27,7 +30,6 @@ if TYPE_CHECKING:
     from hybridreg_ros.replay.runner import FrameLog
 
 EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
-CLOUDS = ('.ply', '.pcd', '.npy', '.npz', '.bin')
 
 
 def run(args: argparse.Namespace) -> int:
@@ -44,6 +46,12 @@ def run(args: argparse.Namespace) -> int:
     jobs = _jobs(args)
     fleet.refuse(jobs, args.overwrite, args.resume)
     check_packages()
+    if args.rerun is not None:
+        require('--rerun', 'view', 'rerun')
+    if args.video is not None and args.video.suffix.lower() == '.mp4':
+        require('an .mp4', 'view', 'imageio_ffmpeg')
+    if args.workers > 1 or args.scheduler is not None:
+        require_dask()
     if args.live:
         from hybridreg_ros.cli.runs.live import LiveOptions, check_options, replay_live
 
@@ -87,7 +95,8 @@ def _jobs(args: argparse.Namespace) -> list[session.Job]:
             compare=not args.no_compare,
             map=_own(args, args.map, bag),
             moving=_own(args, args.moving, bag),
-            video=_own(args, args.video, bag, ('.gif', '.webp')),
+            video=_own(args, args.video, bag, ('.gif', '.webp', '.mp4')),
+            rerun=_viewer(args, bag),
         )
         for bag in args.bags
     ]
@@ -108,7 +117,7 @@ def _folder(args: argparse.Namespace, bag: Path) -> Path:
 
 
 def _own(
-    args: argparse.Namespace, path: Path | None, bag: Path, kinds: tuple[str, ...] = CLOUDS
+    args: argparse.Namespace, path: Path | None, bag: Path, kinds: tuple[str, ...] = SUFFIXES
 ) -> Path | None:
     """A file of one bag: as named, or of that name in the folder of each of several bags."""
     if path is not None and path.suffix.lower() not in kinds:
@@ -116,9 +125,19 @@ def _own(
     return path if path is None or len(args.bags) == 1 else _folder(args, bag) / path.name
 
 
+def _viewer(args: argparse.Namespace, bag: Path) -> str:
+    """Where Rerun is to show a bag: live, at an address, or later from a file of its own."""
+    target: str = args.rerun or ''
+    if target in ('', LIVE) or '://' in target:
+        return target
+    path = _own(args, Path(target), bag, ('.rrd',))
+    return str(path)
+
+
 def _offline(job: session.Job) -> ReportRun:
-    _, count = session.planned_frames(job)
-    with bar(count, job.bag.name) as shown:
+    plan = session.plan_of(job)
+    print(f'{job.bag}: {plan.count} clouds of {plan.topic}', file=sys.stderr)
+    with bar(plan.count, job.bag.name) as shown:
         return _one(job, lambda _: shown.update())
 
 

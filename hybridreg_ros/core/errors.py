@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Exceptions: one root, one subclass per failure that a caller can act on."""
 
+from importlib.util import find_spec
+
 
 class HybridRegError(Exception):
     """Root of every error this package raises on purpose; its text is one readable line."""
@@ -33,3 +35,19 @@ class RegistrationError(HybridRegError):
 
 class DependencyError(HybridRegError):
     """An optional package is needed for this call and is not installed."""
+
+
+def require(what: str, extra: str, *modules: str) -> None:
+    """Find out before the work begins whether what it needs is there.
+
+    Args:
+        what: needs the modules, such as 'reports' or '--rerun'.
+        extra: of this package, that installs them.
+        modules: names of top-level modules.
+
+    Raises:
+        DependencyError: one of them is not installed.
+    """
+    if missing := [name for name in modules if find_spec(name) is None]:
+        install = f"pip install 'hybridreg_ros[{extra}]'"
+        raise DependencyError(f'{what} needs {", ".join(missing)}: {install}')

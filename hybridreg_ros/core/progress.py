@@ -7,7 +7,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Any
 
-from hybridreg_ros.core.errors import DependencyError
+from hybridreg_ros.core.errors import require
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -19,12 +19,9 @@ def bar(total: int | None, text: str, unit: str = 'frame') -> Any:
     Raises:
         DependencyError: tqdm is not installed.
     """
-    try:
-        from tqdm import tqdm
-    except ImportError:
-        raise DependencyError(
-            "progress bars need tqdm: pip install 'hybridreg_ros[replay]'"
-        ) from None
+    require('a progress bar', 'replay', 'tqdm')
+    from tqdm import tqdm
+
     quiet = not sys.stderr.isatty()
     return tqdm(
         total=total, desc=text, unit=unit, file=sys.stderr, mininterval=5.0 if quiet else 0.1

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.core.errors import DependencyError, FileFormatError
+from hybridreg_ros.core.errors import FileFormatError, require
 from hybridreg_ros.core.scan import NS_PER_S
 
 if TYPE_CHECKING:
@@ -317,13 +317,10 @@ def _evo_errors(
     estimate: NDArray[np.float64], reference: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """APE of positions (m, aligned), RPE translation (m) and RPE rotation (deg) from evo."""
-    try:
-        from evo.core import metrics
-        from evo.core.trajectory import PosePath3D
-    except ImportError:
-        raise DependencyError(
-            "scoring a trajectory needs evo: pip install 'hybridreg_ros[replay]'"
-        ) from None
+    require('scoring a trajectory', 'replay', 'evo')
+    from evo.core import metrics
+    from evo.core.trajectory import PosePath3D
+
     ref = PosePath3D(poses_se3=list(reference))
     errors = []
     for metric, poses in (

@@ -106,21 +106,18 @@ class Bag:
         """Name of the PointCloud2 topic.
 
         Args:
-            wanted: topic asked for; None accepts the only one there is.
+            wanted: topic asked for; None takes that with most messages, of equals the first.
 
         Raises:
-            BagError: no such topic, none, several to choose from, or one without messages.
+            BagError: no such topic, none, or one without messages.
         """
-        clouds = sorted(t.name for t in self.topics.values() if t.msgtype == POINT_CLOUD2)
-        if wanted is None:
-            if not clouds:
-                raise BagError(f'{self.path} has no PointCloud2 topic; found: {self._listing()}')
-            if len(clouds) > 1:
-                raise BagError(
-                    f'{self.path} has {len(clouds)} PointCloud2 topics, choose one with --topic: '
-                    f'{", ".join(clouds)}'
-                )
-        name = clouds[0] if wanted is None else self._named(wanted, (POINT_CLOUD2,))
+        clouds = [t for t in self.topics.values() if t.msgtype == POINT_CLOUD2]
+        if wanted is not None:
+            name = self._named(wanted, (POINT_CLOUD2,))
+        elif clouds:
+            name = min(clouds, key=lambda t: (-t.messages, t.name)).name
+        else:
+            raise BagError(f'{self.path} has no PointCloud2 topic; found: {self._listing()}')
         if not self.topics[name].messages:
             raise BagError(f'{self.path} holds no message on {name}')
         return name
@@ -204,7 +201,7 @@ class Bag:
         """Clouds in stamp order, unusable ones included with their reason; thinned as live.
 
         Args:
-            topic: PointCloud2 topic; None takes the only one.
+            topic: PointCloud2 topic; None as for `cloud_topic`.
             time_unit: unit of per-point times, see core.pointcloud2.to_scan.
             time_field: field of per-point times, '' = by the usual names.
         """

@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import yaml
 from natsort import natsorted
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from hybridreg_ros.core.errors import BagError
+from hybridreg_ros.data.loaders import clouds
 from hybridreg_ros.replay.bag_files import (
     DAMAGE,
     McapFile,
@@ -21,15 +23,6 @@ from hybridreg_ros.replay.bag_files import (
     RosbagsFile,
     one_line,
 )
-
-try:
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-except ImportError as missing:
-    from hybridreg_ros.core.errors import DependencyError
-
-    raise DependencyError(
-        f"bags need {missing.name}: pip install 'hybridreg_ros[replay]'"
-    ) from None
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -43,6 +36,9 @@ File = McapFile | RosbagsFile | Ros1File
 METADATA = 'metadata.yaml'
 NEWEST_METADATA = 9
 SUFFIXES = ('.mcap', '.db3')
+HINTS = {'.pcap': 'play it with the driver of the sensor, and record its PointCloud2 topic'}
+"""What to do with other files."""
+HINTS |= dict.fromkeys(clouds.SUFFIXES, 'name its folder, or use `hybridreg register` with two')
 
 
 class BagTopic(NamedTuple):
@@ -109,9 +105,8 @@ def open_source(path: Path) -> Source:
     if path.is_dir():
         return _open_directory(path)
     if path.suffix not in (*SUFFIXES, '.bag'):
-        raise BagError(
-            f'{path} is not a bag: expected a .mcap, .db3 or .bag file, or a bag directory'
-        )
+        hint = HINTS.get(path.suffix.lower(), 'expected a .mcap, .db3 or .bag file, or a folder')
+        raise BagError(f'{path} is not a bag: {hint}')
     return Source([_open_file(path)])
 
 
@@ -211,4 +206,5 @@ def _files_of(path: Path) -> list[Path]:
         raise BagError(
             f'{path} holds compressed files and no {METADATA}: decompress them (zstd -d)'
         )
-    raise BagError(f'{path} is not a bag: it holds neither {METADATA} nor a .mcap or .db3')
+    known = 'a .mcap, .db3 or .bag, velodyne/*.bin, *depth*.png, depth.txt, or clouds (*.ply, ...)'
+    raise BagError(f'{path} is not a log: expected {known}')

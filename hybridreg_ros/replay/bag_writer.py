@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
     from hybridreg_ros.core.pointcloud2 import CloudData
+    from hybridreg_ros.metrics.trajectory import Trajectory
 
 SUFFIX_STORAGE = {'.mcap': 'mcap', '.db3': 'sqlite3'}
 _LAST_NS = 2**31 * NS_PER_S
@@ -53,6 +54,8 @@ _RELIABLE = Qos(
     QosTime(0, 0),
     False,
 )
+_LATCHED = _RELIABLE._replace(durability=QosDurability.TRANSIENT_LOCAL)
+TF, TF_STATIC = '/tf', '/tf_static'
 
 
 class BagWriter:
@@ -164,8 +167,9 @@ class BagWriter:
         """Append one message that is serialised already (CDR)."""
         try:
             if (topic, msgtype) not in self._connections:
+                qos = _LATCHED if topic == TF_STATIC else _RELIABLE
                 self._connections[topic, msgtype] = self._writer.add_connection(
-                    topic, msgtype, typestore=self._typestore, offered_qos_profiles=[_RELIABLE]
+                    topic, msgtype, typestore=self._typestore, offered_qos_profiles=[qos]
                 )
             self._writer.write(self._connections[topic, msgtype], stamp, raw)
         except (WriterError, OSError) as error:
@@ -210,6 +214,42 @@ class BagWriter:
             position=self._type('geometry_msgs/msg/Point')(x=tx, y=ty, z=tz),
             orientation=self._type('geometry_msgs/msg/Quaternion')(x=x, y=y, z=z, w=w),
         )
+
+    def write_transform(
+        self, topic: str, stamp: int, frames: tuple[str, str], pose: NDArray[np.float64]
+    ) -> None:
+        """Append a tf2_msgs/TFMessage with one transform.
+
+        Args:
+            topic: TF or TF_STATIC.
+            stamp: header stamp and log time, ns.
+            frames: (frame_id, child_frame_id).
+            pose: (4, 4) T_frame_child, metres.
+        """
+        x, y, z = (float(v) for v in pose[:3, 3])
+        transform = self._type('geometry_msgs/msg/TransformStamped')(
+            header=self._header(stamp, frames[0]),
+            child_frame_id=frames[1],
+            transform=self._type('geometry_msgs/msg/Transform')(
+                translation=self._type('geometry_msgs/msg/Vector3')(x=x, y=y, z=z),
+                rotation=self._pose(pose).orientation,
+            ),
+        )
+        kind = 'tf2_msgs/msg/TFMessage'
+        self.write(topic, kind, stamp, self._type(kind)(transforms=[transform]))
+
+    def write_path(self, topic: str, frame_id: str, path: Trajectory) -> None:
+        """Append a nav_msgs/Path of T_frame_sensor, with the stamp of its first pose."""
+        start = int(path.stamps[0])
+        poses = [
+            self._type('geometry_msgs/msg/PoseStamped')(
+                header=self._header(stamp, frame_id), pose=self._pose(T)
+            )
+            for stamp, T in zip(path.stamps, path.poses, strict=True)
+        ]
+        kind = 'nav_msgs/msg/Path'
+        message = self._type(kind)(header=self._header(start, frame_id), poses=poses)
+        self.write(topic, kind, start, message)
 
     def write_odometry(
         self,

@@ -17,16 +17,12 @@ from hybridreg_ros.core.quaternion import from_quaternion
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.metrics.mask import MaskCounts
 from hybridreg_ros.odometry.result import LOST_VARIANCE, Source
-from hybridreg_ros.replay.bag_writer import BagWriter
-from hybridreg_ros.replay.outputs import DYNAMIC_TOPIC, ODOM_TOPIC, STATIC_TOPIC
+from hybridreg_ros.replay.outputs import DYNAMIC_TOPIC, STATIC_TOPIC, OutputFiles
 from hybridreg_ros.replay.page.pictures import Album, FrameView
 from hybridreg_ros.replay.page.scene import SceneSink
 from hybridreg_ros.replay.runner import FrameLog, ReplayLog, true_dynamic
-from hybridreg_ros.replay.trajectory_io import tum_row
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
 PARTS = ('odom', 'dynamic', 'static', 'frame')
@@ -41,18 +37,17 @@ class LiveRecorder:
         seen: the scene.
     """
 
-    def __init__(self, folder: Path, frames: int) -> None:
-        """Start odometry.tum and dynamic.mcap.
+    def __init__(self, files: OutputFiles, frames: int) -> None:
+        """Start a log.
 
         Args:
-            folder: where they are written.
+            files: take what the node publishes.
             frames: expected number of frames.
         """
         self.log = ReplayLog()
         self.album = Album(frames)
         self.seen = SceneSink()
-        self._tum = (folder / 'odometry.tum').open('w', encoding='ascii', buffering=1)
-        self._bag = BagWriter(folder / 'dynamic.mcap', overwrite=True)
+        self._files = files
         self._lock = threading.Lock()
         self._waiting: dict[int, dict[str, Any]] = defaultdict(dict)
         self._start = time.perf_counter()
@@ -63,9 +58,7 @@ class LiveRecorder:
         pose = _pose(msg.pose.pose)
         linear, angular = msg.twist.twist.linear, msg.twist.twist.angular
         with self._lock:
-            self._tum.write(tum_row(stamp, pose) + '\n')
-            self._bag.write_odometry(
-                ODOM_TOPIC,
+            self._files.write_odometry(
                 stamp,
                 (msg.header.frame_id, msg.child_frame_id),
                 pose,
@@ -93,7 +86,7 @@ class LiveRecorder:
         stamp = _stamp(msg)
         scan = to_scan(msg, time_unit='none')
         with self._lock:
-            self._bag.write_cloud(topic, stamp, msg.header.frame_id, msg)
+            self._files.write_cloud(topic, stamp, msg.header.frame_id, msg)
             self._put(stamp, part, (scan.points, true_dynamic(msg, scan)))
 
     def _put(self, stamp: int, part: str, value: Any) -> None:
@@ -131,15 +124,13 @@ class LiveRecorder:
         )
 
     def close(self) -> None:
-        """Finish the files; frames that lack a cloud are logged with what came."""
+        """Finish the log; frames that lack a cloud are logged with what came."""
         with self._lock:
             for stamp in sorted(self._waiting):
                 self._finish(stamp, self._waiting[stamp])
             self._waiting.clear()
             self.log.frames.sort(key=lambda f: f.stamp)
             self.log.wall_s = time.perf_counter() - self._start
-            self._tum.close()
-            self._bag.close()
 
 
 def _stamp(msg: Any) -> int:

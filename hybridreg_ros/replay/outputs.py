@@ -7,8 +7,9 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import shutil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -16,7 +17,9 @@ from hybridreg_ros.core import provenance
 from hybridreg_ros.core.pointcloud2 import with_field
 from hybridreg_ros.metrics import mask, trajectory
 from hybridreg_ros.metrics.extrinsic import other_body
-from hybridreg_ros.replay.bag_writer import BagWriter
+from hybridreg_ros.replay.bag_reader import GROUND_TRUTH_TOPIC
+from hybridreg_ros.replay.bag_writer import TF, TF_STATIC, BagWriter
+from hybridreg_ros.replay.recording import WORLD_FRAME
 from hybridreg_ros.replay.runner import DYNAMIC_THRESHOLD
 from hybridreg_ros.replay.trajectory_io import tum_row
 
@@ -34,39 +37,46 @@ ODOM_TOPIC = '/hybridreg/odom'
 DYNAMIC_TOPIC = '/hybridreg/dynamic_points'
 STATIC_TOPIC = '/hybridreg/static_points'
 PROBABILITY_FIELD = 'dynamic_probability'
-ODOM_FRAME = 'odom'
+PATH_TOPIC, TRUE_PATH_TOPIC = '/hybridreg/path', '/ground_truth/path'
+ODOM_FRAME, UPRIGHT_FRAME = 'odom', 'upright'
+UPRIGHT = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
+"""(4, 4) from the axes of a camera (x right, y down, z ahead) to x ahead, y left, z up."""
 
 
-class TumFile:
-    """Appends one line per pose; complete after every line."""
+class Ending(Protocol):
+    """What takes the paths when a run is over."""
 
-    def __init__(self, path: Path) -> None:
-        self._stream = path.open('w', encoding='ascii', buffering=1)
-
-    def add(self, message: Any, result: OdometryResult) -> None:
-        """Write the pose of one scan."""
-        self._stream.write(tum_row(result.stamp, result.pose) + '\n')
-
-    def close(self) -> None:
-        """Close the file."""
-        self._stream.close()
+    def end(
+        self,
+        made: Trajectory,
+        optical: bool,
+        truth: Trajectory | None = None,
+        T_odom_world: NDArray[np.float64] | None = None,
+    ) -> None:
+        """Take T_odom_sensor, T_world_sensor and the alignment of both; see OutputFiles."""
 
 
-class OutputBag:
-    """Writes odometry, dynamic and static points of each scan, as the node publishes them."""
+class OutputFiles:
+    """odometry.tum, complete after every line; dynamic.mcap, and foxglove.json that shows it.
+
+    The bag holds what the node publishes of each scan, /tf, the paths and the truth.
+    """
 
     def __init__(
-        self, path: Path, clouds: bool = True, threshold: float = DYNAMIC_THRESHOLD
+        self, folder: Path, clouds: bool = True, threshold: float = DYNAMIC_THRESHOLD
     ) -> None:
-        self._writer = BagWriter(path, overwrite=True)
+        self._bag = BagWriter(folder / 'dynamic.mcap', overwrite=True)
+        self._tum = (folder / 'odometry.tum').open('w', encoding='ascii', buffering=1)
+        shutil.copyfile(Path(__file__).with_name('foxglove.json'), folder / 'foxglove.json')
         self._threshold = threshold
         self._clouds = clouds
+        self._sensor = ''
+        self.write_cloud = self._bag.write_cloud
 
     def add(self, message: Any, result: OdometryResult) -> None:
         """Write the messages of one scan; clouds keep every field of the input message."""
         scan = result.scan
-        self._writer.write_odometry(
-            ODOM_TOPIC,
+        self.write_odometry(
             result.stamp,
             (ODOM_FRAME, scan.frame_id),
             result.pose,
@@ -80,11 +90,50 @@ class OutputBag:
         moving = probability >= self._threshold
         for topic, keep in ((DYNAMIC_TOPIC, moving), (STATIC_TOPIC, ~moving)):
             cloud = with_field(message, scan, PROBABILITY_FIELD, probability, keep)
-            self._writer.write_cloud(topic, result.stamp, scan.frame_id, cloud)
+            self.write_cloud(topic, result.stamp, scan.frame_id, cloud)
+
+    def write_odometry(
+        self, stamp: int, frames: tuple[str, str], pose: NDArray[np.float64], *rest: Any
+    ) -> None:
+        """Write a pose to all of them; `rest` as of `BagWriter.write_odometry`."""
+        self._sensor = frames[1]
+        self._tum.write(tum_row(stamp, pose) + '\n')
+        self._bag.write_odometry(ODOM_TOPIC, stamp, frames, pose, *rest)
+        self._bag.write_transform(TF, stamp, frames, pose)
+
+    def end(
+        self,
+        made: Trajectory,
+        optical: bool,
+        truth: Trajectory | None = None,
+        T_odom_world: NDArray[np.float64] | None = None,
+    ) -> None:
+        """Write paths and truth; with the first stamp, so that viewers show them from the start.
+
+        Args:
+            made: T_odom_sensor.
+            optical: whether odom has the axes of a camera; the frame `upright` has z up.
+            truth: T_world_sensor.
+            T_odom_world: (4, 4) alignment of the truth.
+        """
+        if len(made):
+            start, turn = int(made.stamps[0]), UPRIGHT if optical else np.eye(4)
+            self._bag.write_transform(TF_STATIC, start, (UPRIGHT_FRAME, ODOM_FRAME), turn)
+            self._bag.write_path(PATH_TOPIC, ODOM_FRAME, made)
+        if truth is not None and T_odom_world is not None:
+            self._bag.write_transform(TF_STATIC, start, (ODOM_FRAME, WORLD_FRAME), T_odom_world)
+            seen = (truth.stamps >= start) & (truth.stamps <= made.stamps[-1])
+            part = trajectory.Trajectory(truth.stamps[seen], truth.poses[seen])
+            self._bag.write_path(TRUE_PATH_TOPIC, WORLD_FRAME, part)
+            frames = (WORLD_FRAME, self._sensor)
+            for stamp, pose in zip(part.stamps.tolist(), part.poses, strict=True):
+                self._bag.write_odometry(GROUND_TRUTH_TOPIC, stamp, frames, pose)
+        self.close()
 
     def close(self) -> None:
-        """Finish the bag."""
-        self._writer.close()
+        """Finish the files; closing twice does nothing."""
+        self._tum.close()
+        self._bag.close()
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hybridreg_ros.core.config import load_yaml, to_dict
 from hybridreg_ros.core.pages import one_heap
@@ -22,6 +22,7 @@ from hybridreg_ros.replay.interrupt import StopRequest
 from hybridreg_ros.replay.page.pictures import Album, Film
 from hybridreg_ros.replay.page.report import ReportRun, write_report
 from hybridreg_ros.replay.page.scene import SceneSink
+from hybridreg_ros.replay.rerun_sink import RerunSink
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -59,7 +60,8 @@ class Job:
         compare: run kiss-icp alone beside it.
         map: file (.ply, .pcd, ...) for the cleaned map, None for none.
         moving: file for the points that moved.
-        video: .gif of what the sensor saw, with its moving points.
+        video: .gif, .webp or .mp4 of what the sensor saw, with its moving points.
+        rerun: 'live', the address of a viewer or a .rrd file for Rerun, '' for none.
     """
 
     bag: Path
@@ -80,6 +82,7 @@ class Job:
     map: Path | None = None
     moving: Path | None = None
     video: Path | None = None
+    rerun: str = ''
 
 
 def asked(job: Job) -> dict[str, Any]:
@@ -134,16 +137,29 @@ def truth_of(job: Job, bag: Log) -> Trajectory | None:
     return follow(truth, extrinsic_of(job.extrinsic))
 
 
-def planned_frames(job: Job) -> tuple[str, int]:
-    """Cloud topic of a job's bag and how many clouds of it will be taken.
+class Plan(NamedTuple):
+    """Topic of the clouds of a log, how many of them will be taken, and what was chosen."""
+
+    topic: str
+    count: int
+    note: str
+
+
+def plan_of(job: Job) -> Plan:
+    """What will be taken of a job's log.
 
     Raises:
-        BagError: the bag cannot be read, or has no such topic.
+        BagError: the log cannot be read, or has no such topic.
     """
     with open_log(job.bag) as bag:
         topic = bag.cloud_topic(job.topic)
         count = -(-bag.topics[topic].messages // job.stride)
-    return topic, count if job.max_frames is None else min(count, job.max_frames)
+        kind = bag.topics[topic].msgtype
+        others = sorted(t.name for t in bag.topics.values() if t.msgtype == kind)
+    others.remove(topic)
+    note = f'clouds of {topic}; --topic chooses another one ({", ".join(others)})'
+    most = job.max_frames or count
+    return Plan(topic, min(count, most), note if others and job.topic is None else '')
 
 
 class Beside:
@@ -191,7 +207,7 @@ def replay(
         BagError: the bag cannot be opened or has no usable topic.
         WeightsError: the checkpoint cannot be used.
     """
-    topic, count = planned_frames(job)
+    topic, count, chosen = plan_of(job)
     threshold = job.config.dynamics.threshold
     front_end = open_front_end(job.config, job.weights)
     job.out.mkdir(parents=True, exist_ok=True)
@@ -203,11 +219,11 @@ def replay(
         bag = open_log(job.bag)
         stack.enter_context(bag)
         truth = truth_of(job, bag)
-        tum = stack.enter_context(contextlib.closing(outputs.TumFile(job.out / 'odometry.tum')))
-        made = outputs.OutputBag(job.out / 'dynamic.mcap', job.clouds, threshold)
-        stack.enter_context(contextlib.closing(made))
+        files = outputs.OutputFiles(job.out, job.clouds, threshold)
+        stack.enter_context(contextlib.closing(files))
         mapped = [MapSink(job.out, threshold, job.config)] if wanted else []
-        for sink in mapped:
+        shown = [RerunSink(job.rerun, job.bag.stem, threshold)] if job.rerun else []
+        for sink in (*mapped, *shown):
             stack.enter_context(contextlib.closing(sink))
         stop = stack.enter_context(StopRequest())
         every = bag.frames(topic, job.time_unit, job.time_field)
@@ -215,24 +231,24 @@ def replay(
         log = runner.run(
             (f if f.scan is None else f._replace(scan=front_end.seen(f.scan)) for f in frames),
             front_end,
-            (tum, made, album, seen, *mapped, *film, *also),
+            (files, album, seen, *mapped, *film, *shown, *also),
             job.stride,
             job.max_frames,
             threshold,
             tick,
             stop,
         )
-        recovered = bag.recovered
         about: dict[str, Any] = {'map': _write_map(job, mapped[0].make())} if mapped else {}
-    if job.video is not None:
-        film[0].write(job.video)
-    if recovered is not None:
-        log.notes.append(f'the bag is cut off, {recovered} messages were recovered')
-    if job.config.registrar == 'hybridreg' and not front_end.has_network:
-        log.notes.append('no network weights: kiss-icp registers every scan')
-    about |= {'topic': topic, 'stride': job.stride, 'live': False, 'recovered': recovered}
-    runs = [b.run(truth) for b in also]
-    return finish(job, log, truth, album.views(), about, seen.scene(), runs)
+        if job.video is not None:
+            film[0].write(job.video)
+        log.notes += [chosen] if chosen else []
+        if bag.recovered is not None:
+            log.notes.append(f'the bag is cut off, {bag.recovered} messages were recovered')
+        if job.config.registrar == 'hybridreg' and not front_end.has_network:
+            log.notes.append('no network weights: kiss-icp registers every scan')
+        about |= {'topic': topic, 'stride': job.stride, 'live': False, 'recovered': bag.recovered}
+        runs = [b.run(truth) for b in also]
+        return finish(job, log, truth, album.views(), about, seen.scene(), runs, (files, *shown))
 
 
 def _write_map(job: Job, made: CleanMap) -> MapReport:
@@ -249,10 +265,11 @@ def finish(
     truth: Trajectory | None,
     views: list[FrameView],
     about: dict[str, Any],
-    scene: Scene | None = None,
-    beside: Sequence[ReportRun] = (),
+    scene: Scene,
+    beside: Sequence[ReportRun],
+    sinks: Sequence[outputs.Ending],
 ) -> ReportRun:
-    """Score a run, live or offline, and write metrics.json and report.html.
+    """Score a run, live or offline, end its files, and write metrics.json and report.html.
 
     Args:
         job: what was done.
@@ -262,14 +279,18 @@ def finish(
         about: further entries of metrics.json.
         scene: what the 3D view shows.
         beside: other runs on the same clouds.
+        sinks: take the paths.
     """
-    scores = outputs.score_log(log, truth)
+    scores, made = outputs.score_log(log, truth), log.trajectory()
+    errors = None if truth is None or scores.trajectory is None else frame_errors(log, truth)
+    for sink in sinks:
+        sink.end(made, scene.optical, truth, None if errors is None else errors.T_odom_world)
     metrics = outputs.metrics_of(
         log,
         scores,
         to_dict(job.config),
         job.bag,
-        None if truth is None or scores.trajectory is None else frame_errors(log, truth),
+        errors,
         registrar=job.config.registrar,
         asked=asked(job),
         beside={r.name: r.scores.trajectory for r in beside},
@@ -284,7 +305,7 @@ def finish(
         f'{log.wall_s:.1f} s of computation',
         [run, *beside],
     )
-    outputs.write_trajectories(job.out, log.trajectory(), truth)
+    outputs.write_trajectories(job.out, made, truth)
     # Last, since it is the sign that a run is finished.
     outputs.write_json(job.out / 'metrics.json', metrics)
     return run

@@ -26,6 +26,7 @@ from hybridreg_ros.model.network.network import HybridRegNet
 from hybridreg_ros.training import optim
 from hybridreg_ros.training.generator import Generator
 from hybridreg_ros.training.samples import SampleStream, loader, to_device
+from hybridreg_ros.training.sources import ShardSource
 from hybridreg_ros.training.step import LossTerms, pair_losses
 from hybridreg_ros.training.validation import Validation, ValidationSet
 
@@ -98,13 +99,17 @@ class Run:
     def __init__(self, config: TrainConfig, rank: int = 0, world: int = 1) -> None:
         self.config, self.rank, self.world = config, rank, world
         self.out = Path(config.out)
-        self.out.mkdir(parents=True, exist_ok=True)
+        if not config.stream.kinds:
+            ShardSource(
+                config.data, config.shares
+            )  # what it lacks is said before anything is made
         torch.manual_seed(config.seed)
         self.network = _network(config).to(config.device)
         self.optimizer = optim.Optimizer(self.network, config)
         self.average = optim.Average(self.network, config.ema)
         self.progress = Progress()
         self.validation = ValidationSet(config, self.network.config, rank, world)
+        self.out.mkdir(parents=True, exist_ok=True)
         if rank == 0:
             (self.out / 'config.yaml').write_text(dump_yaml(config), encoding='utf-8')
 

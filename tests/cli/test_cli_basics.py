@@ -141,12 +141,32 @@ def test_json_to_standard_output(capsys: pytest.CaptureFixture[str]) -> None:
 def test_missing_packages_are_found_before_the_work(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from hybridreg_ros.replay.page import report
+    from hybridreg_ros.core import errors
 
-    monkeypatch.setattr(report, 'find_spec', lambda name: None)
-    assert main(['replay', str(tmp_path / 'gone.mcap'), '--out', str(tmp_path / 'o')]) == 2
-    assert 'reports need PIL, evo, plotly: pip install' in capsys.readouterr().err
-    assert not (tmp_path / 'o').exists()
+    there = errors.find_spec
+    bag, out = str(tmp_path / 'gone.mcap'), str(tmp_path / 'o')
+    for package, command in {
+        'plotly': ['replay', bag],
+        'rerun': ['replay', bag, '--rerun', 'live'],
+        'imageio_ffmpeg': ['replay', bag, '--video', 'a.mp4'],
+        'distributed': ['replay', bag, bag, '--workers', '2'],
+        'rclpy': ['demo'],
+        'embreex': ['demo'],
+        'evo': ['demo'],
+        'matplotlib': ['generate', 'room-match-rigid', '--pairs', '1', '--preview'],
+    }.items():
+        monkeypatch.setattr(errors, 'find_spec', lambda n, p=package: None if n == p else there(n))
+        assert main([*command, '--out', out]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert re.search(rf"needs .*{package}.*: pip install 'hybridreg_ros\[\w+\]'", line), line
+        assert not (tmp_path / 'o').exists()
+
+
+def test_unknown_option_is_told_by_its_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['replay', 'a.mcap', '--registar', 'kiss-icp']) == 2
+    error = capsys.readouterr().err
+    assert error.startswith('hybridreg replay: error: unrecognized arguments: --registar')
+    assert 'did you mean --registrar? (see hybridreg replay --help)' in error
 
 
 def test_shell_completion() -> None:

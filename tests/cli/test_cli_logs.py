@@ -76,8 +76,11 @@ def test_folder_that_is_none_or_lacks_something(
     write_folder(tmp_path / 'walk', '.ply')
     (tmp_path / 'walk' / 'poses.txt').write_text('1 0 0 0 0 1 0 0 0 0 1 0\n')
     (tmp_path / 'empty').mkdir()
+    (tmp_path / 'walk.pcap').touch()
     for name, more, text in (
-        ('empty', [], 'is not a bag'),
+        ('empty', [], 'is not a log: expected a .mcap, .db3 or .bag, velodyne/*.bin'),
+        ('walk.pcap', [], 'play it with the driver of the sensor'),
+        ('walk/1.ply', [], 'name its folder, or use `hybridreg register` with two'),
         ('walk', [], '5 scans but 1 poses'),
         ('walk', ['--topic', '/front'], '5 scans but 1 poses'),
     ):

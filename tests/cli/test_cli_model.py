@@ -57,6 +57,8 @@ def test_register(weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert 0.0 <= r['confidence'] <= 1.0
     assert {'encode', 'network', 'refine', 'total'} <= set(r['timings_s'])
     np.testing.assert_allclose(read_cloud(moved), points @ T[:3, :3].T + T[:3, 3], atol=1e-5)
+    for option, text in (('--out', '.txt: expected a file ending in .ply'),):
+        assert text in failure(capsys, [*arguments[:3], option, str(tmp_path / 'a.txt')])
 
 
 def test_register_refuses(
@@ -117,7 +119,8 @@ def test_train_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert 'unknown key stepps' in failure(capsys, ['train', str(config)])
     config.write_text(f'data: [{tmp_path / "gone"}]\nvalidation: [{tmp_path / "gone"}]')
     line = failure(capsys, ['train', str(config), '--out', str(tmp_path / 'run')])
-    assert 'gone' in line
+    assert 'gone: make one with `hybridreg generate`' in line
+    assert not (tmp_path / 'run').exists()
 
 
 def test_generate_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

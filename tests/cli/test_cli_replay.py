@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -18,8 +20,11 @@ from tiny_bags import PERIOD, START, cloud_bytes, room_cloud, sensor_pose, write
 
 from hybridreg_ros.cli.main import main
 from hybridreg_ros.core.pointcloud2 import CloudData, from_arrays
+from hybridreg_ros.core.quaternion import from_quaternion
+from hybridreg_ros.metrics.trajectory import Trajectory
 from hybridreg_ros.replay.bag_reader import open_bag
 from hybridreg_ros.replay.bag_writer import BagWriter
+from hybridreg_ros.replay.outputs import OutputFiles
 from hybridreg_ros.replay.page.report import plotly_script
 
 KISS = ['--registrar', 'kiss-icp']
@@ -31,6 +36,7 @@ OUTPUTS = {
     'metrics.json',
     'report.html',
     'dynamic.mcap',
+    'foxglove.json',
 }
 
 
@@ -159,9 +165,87 @@ def test_dynamic_bag_keeps_fields_and_all_points(replayed: Path) -> None:
             assert names == ['x', 'y', 'z', 'intensity', 'label', 'dynamic_probability']
             assert message.header.frame_id == 'lidar'  # type: ignore[attr-defined]
             sizes[stamp] = sizes.get(stamp, 0) + message.width  # type: ignore[attr-defined]
-    topics = ('/hybridreg/odom', '/hybridreg/dynamic_points', '/hybridreg/static_points')
-    assert counts == dict.fromkeys(topics, 12)
+    often = ('odom', 'dynamic_points', 'static_points')
+    each = [f'/hybridreg/{name}' for name in often] + ['/tf', '/ground_truth/odom']
+    once = {'/tf_static': 2, '/hybridreg/path': 1, '/ground_truth/path': 1}
+    assert counts == dict.fromkeys(each, 12) | once
     assert set(sizes.values()) == {3000 + 750 + 300}
+
+
+def test_viewer_finds_every_cloud_and_path_in_one_frame(replayed: Path) -> None:
+    """The transforms lead from `upright` to the sensor, and the truth lies on the path."""
+    layout = (replayed / 'foxglove.json').read_text()
+    shown = json.loads(layout)['configById']['3D!scene']
+    frames: dict[tuple[str, str], list[np.ndarray]] = {}
+    with open_bag(replayed / 'dynamic.mcap') as bag:
+        assert set(re.findall(r'"(/\w+/\w+)', layout)) <= set(bag.topics)
+        for message in bag.messages(['/tf', '/tf_static']):
+            for t in bag.decode(message).transforms:
+                p = t.transform.translation
+                pair = (t.header.frame_id, t.child_frame_id)
+                frames.setdefault(pair, []).append(np.array([p.x, p.y, p.z]))
+        paths = [bag.decode(m) for m in bag.messages(['/hybridreg/path', '/ground_truth/path'])]
+        odometry = bag.trajectory('/hybridreg/odom')
+        assert next(bag.messages()).stamp == START, 'paths are there from the first frame on'
+    assert set(frames) == {(shown['followTf'], 'odom'), ('odom', 'lidar'), ('odom', 'world')}
+    assert np.array_equal(frames['odom', 'lidar'], odometry.poses[:, :3, 3])
+    made, truth = (
+        np.array([[p.pose.position.x, p.pose.position.y, p.pose.position.z] for p in path.poses])
+        for path in sorted(paths, key=lambda path: path.header.frame_id)
+    )
+    assert np.array_equal(made, odometry.poses[:, :3, 3])
+    assert made.shape == truth.shape
+
+
+def test_run_in_rerun(room_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip('rerun')
+    arguments = ['replay', str(room_bag), *KISS, '--out', str(tmp_path / 'o'), '--overwrite']
+    shown = tmp_path / 'run.rrd'
+    assert main([*arguments, '--rerun', str(shown)]) == 0
+    rerun = Path(sys.executable).parent / 'rerun'
+    printed = subprocess.run(
+        [rerun, 'rrd', 'print', '-v', shown], capture_output=True, text=True, check=True
+    ).stdout
+    for entity in ('sensor/still', 'sensor/moving', 'path', 'truth'):
+        assert f'/odom/{entity}' in printed
+    assert '/confidence' in printed
+    assert main([*arguments, '--rerun', 'run.txt']) == 2
+    assert 'expected a file ending in .rrd' in capsys.readouterr().err
+
+
+def test_run_in_a_rerun_that_runs(room_bag: Path, tmp_path: Path) -> None:
+    """Live: a viewer without a window takes what is sent, and saves it."""
+    pytest.importorskip('rerun')
+    with socket.socket() as free:
+        free.bind(('127.0.0.1', 0))
+        port = free.getsockname()[1]
+    viewer = subprocess.Popen(
+        [Path(sys.executable).parent / 'rerun', '--port', str(port), '--save', tmp_path / 'a.rrd']
+    )
+    try:
+        address = f'rerun+http://127.0.0.1:{port}/proxy'
+        arguments = ['replay', str(room_bag), *KISS, '--out', str(tmp_path / 'o')]
+        assert main([*arguments, '--rerun', address]) == 0
+        end = time.monotonic() + 60
+        saved = tmp_path / 'a.rrd'
+        while not (saved.exists() and saved.stat().st_size > 100_000) and time.monotonic() < end:
+            time.sleep(0.2)
+        assert saved.stat().st_size > 100_000
+    finally:
+        viewer.terminate()
+        viewer.wait(30)
+
+
+@pytest.mark.parametrize('optical', [False, True])
+def test_upright_frame_has_the_scene_above_its_floor(tmp_path: Path, optical: bool) -> None:
+    files = OutputFiles(tmp_path)
+    files.write_odometry(START, ('odom', 'camera'), np.eye(4))
+    files.end(Trajectory(np.array([START]), np.eye(4)[None]), optical)
+    with open_bag(tmp_path / 'dynamic.mcap') as bag:
+        (message,) = bag.messages(['/tf_static'])
+        q = bag.decode(message).transforms[0].transform.rotation
+    up = [0.0, -1.0, 0.0] if optical else [0.0, 0.0, 1.0]
+    np.testing.assert_allclose(from_quaternion(q.x, q.y, q.z, q.w) @ up, [0, 0, 1], atol=1e-12)
 
 
 def test_score_of_the_outputs_equals_the_metrics(
@@ -197,7 +281,7 @@ def test_stride_and_max_frames(room_bag: Path, tmp_path: Path) -> None:
     ]
     assert stamps == [START + i * PERIOD for i in (0, 3, 6)]
     with open_bag(tmp_path / 'dynamic.mcap') as bag:
-        assert set(bag.topics) == {'/hybridreg/odom'}
+        assert not any(t.msgtype.endswith('PointCloud2') for t in bag.topics.values())
 
 
 def test_default_front_end_without_weights_says_so(
@@ -278,6 +362,25 @@ def test_clouds_without_stamps_are_replayed_by_log_time(tmp_path: Path) -> None:
     assert metrics['per_frame'][2]['stamp'] == START + 2 * PERIOD
 
 
+def test_of_several_topics_one_is_taken_and_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with BagWriter(tmp_path / 'two.mcap') as bag:
+        for topic, frames in {'/front': 2, '/rear': 3, '/top': 3}.items():
+            for i in range(frames):
+                bag.write_cloud(topic, START + i * PERIOD, 'lidar', room_cloud(i))
+    arguments = ['replay', str(tmp_path / 'two.mcap'), '--out', str(tmp_path / 'o'), *KISS]
+    assert main(arguments) == 0
+    said = capsys.readouterr().err
+    assert '3 clouds of /rear' in said
+    assert 'clouds of /rear; --topic chooses another one (/front, /top)' in said
+    page = (tmp_path / 'o' / 'report.html').read_text('utf-8')
+    assert '--topic chooses another one' in page
+    assert main([*arguments, '--overwrite', '--topic', '/front']) == 0
+    assert 'chooses another' not in capsys.readouterr().err
+    assert json.loads((tmp_path / 'o' / 'metrics.json').read_text())['frames'] == 2
+
+
 def test_bag_without_truth_is_replayed_unscored(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -302,7 +405,6 @@ def test_cut_off_mcap_is_replayed_with_a_warning(
 
 
 def test_bad_bags_give_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_room_bag(tmp_path / 'two.mcap', 1, topics=('/front', '/rear'))
     (tmp_path / 'no.mcap').write_bytes(b'hello')
     write_room_bag(tmp_path / 'cut.db3', 4)
     data = (tmp_path / 'cut.db3').read_bytes()
@@ -311,7 +413,6 @@ def test_bad_bags_give_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[st
         bag.write_odometry('/odom', START, ('odom', 'base'), np.eye(4))
     for name, text in {
         'gone.mcap': 'no bag at',
-        'two.mcap': 'choose one with --topic: /front, /rear',
         'no.mcap': 'cannot read bag',
         'cut.db3': '.recover',
         'odom.mcap': 'has no PointCloud2 topic',

@@ -8,13 +8,15 @@ import json
 import re
 import shutil
 import subprocess
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from hybridreg_ros.cli.main import main
+from hybridreg_ros.model.result import Correspondences, RegistrationResult
+from hybridreg_ros.replay.page.pair import write_pair
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -96,6 +98,37 @@ def test_script_runs_and_nothing_fails(page: Path, tmp_path: Path) -> None:
         for svg in re.findall(r'<svg class="chart[^>]*>', dom)
     )
     assert page.stat().st_size < 15e6
+
+
+def test_page_of_a_pair_draws_both_clouds_and_what_moves(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    clouds = [rng.uniform(-3, 3, (500, 3)).astype(np.float32) for _ in range(2)]
+    T = np.eye(4)
+    T[:3, 3] = 1.0
+    static = [np.linspace(0.0, 1.0, 500, dtype=np.float32)] * 2
+    nothing = Correspondences(clouds[0][:0], clouds[1][:0], static[0][:0])
+    result = RegistrationResult(
+        *(T, 0.9, *static, nothing, T, 0, 0.05, cast('Any', None), {}, 1, *static)
+    )
+    file = tmp_path / 'pair.html'
+    write_pair(file, 'a & b', (clouds[0], clouds[1]), T, result, ['one <line>'])
+    found = probe(
+        file,
+        tmp_path,
+        """
+        div = document.getElementById('pair');
+        div.dataset.ready = 'yes';
+        ready(function () { tell({traces: div._fullData.map(function (t) {
+          return [t.name, t.x.length, Math.max.apply(null, t.x)]; }),
+          canvas: div.querySelectorAll('canvas').length,
+          story: document.querySelector('.story').textContent}); });
+        """,
+    )
+    names = ['target', 'target: moves', 'source', 'source: moves']
+    assert [(name, count) for name, count, _ in found['traces']] == [(n, 250) for n in names]
+    assert max(x for name, _, x in found['traces'] if 'source' in name) > 3.5, 'aligned'
+    assert found['canvas'] > 0
+    assert found['story'] == 'one <line>'
 
 
 def test_scrubber_moves_points_sensor_and_cursors(page: Path, tmp_path: Path) -> None:

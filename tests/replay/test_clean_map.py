@@ -124,3 +124,12 @@ def test_replay_writes_a_film(room_bag: Path, tmp_path: Path) -> None:
         red, green, blue = np.asarray(image.convert('RGB'), int).reshape(-1, 3).T
     assert ((red > 180) & (green < 160) & (blue < 100)).sum() > 20, 'the moving box is orange'
     assert main([*arguments, '--overwrite', '--video', str(tmp_path / 'run.avi')]) == 2
+    ffmpeg = pytest.importorskip('imageio_ffmpeg')
+    film = tmp_path / 'run.mp4'
+    assert main([*arguments, '--overwrite', '--video', str(film)]) == 0
+    frames, seconds = ffmpeg.count_frames_and_secs(str(film))
+    assert (frames, round(seconds, 1)) == (12, 1.2)
+    about, *pictures = ffmpeg.read_frames(str(film))
+    width, height = about['size']
+    red, green, blue = np.frombuffer(pictures[11], np.uint8).reshape(height * width, 3).T
+    assert ((red > 160) & (green < 170) & (blue < 110)).sum() > 20, 'the moving box is orange'

@@ -319,7 +319,8 @@ def about_frame(stamp: int, source: str) -> SimpleNamespace:
 
 
 def test_live_recorder_joins_messages_of_any_order_and_thread(tmp_path: Path) -> None:
-    recorder = LiveRecorder(tmp_path, 4)
+    files = outputs.OutputFiles(tmp_path)
+    recorder = LiveRecorder(files, 4)
     calls = []
     for i in range(4):
         stamp = START + i * PERIOD
@@ -341,6 +342,7 @@ def test_live_recorder_joins_messages_of_any_order_and_thread(tmp_path: Path) ->
     for thread in threads:
         thread.join()
     recorder.close()
+    files.close()
     frames = recorder.log.frames
     assert [f.stamp for f in frames] == [START + i * PERIOD for i in range(4)]
     assert [f.source for f in frames] == ['', 'kiss_icp', '', 'lost']
@@ -355,6 +357,7 @@ def test_live_recorder_joins_messages_of_any_order_and_thread(tmp_path: Path) ->
         counts = {t.name: t.messages for t in bag.topics.values()}
     assert counts == {
         '/hybridreg/odom': 4,
+        '/tf': 4,
         '/hybridreg/dynamic_points': 3,
         '/hybridreg/static_points': 4,
     }

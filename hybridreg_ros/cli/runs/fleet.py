@@ -71,10 +71,10 @@ def attempt(work: Work, job: session.Job) -> Outcome:
 def check(job: session.Job) -> str:
     """Why a job cannot be done, '' when nothing is known against it."""
     try:
-        topic, count = session.planned_frames(job)
+        plan = session.plan_of(job)
     except (HybridRegError, OSError) as error:
         return ' '.join(str(error).split())
-    return '' if count else f'{job.bag} holds no cloud on {topic}'
+    return '' if plan.count else f'{job.bag} holds no cloud on {plan.topic}'
 
 
 def run(args: argparse.Namespace, jobs: Sequence[session.Job], work: Work) -> int:

@@ -8,11 +8,12 @@ import contextlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from hybridreg_ros.core.errors import ConfigError, DependencyError
+from hybridreg_ros.core.errors import ConfigError, require
 from hybridreg_ros.core.progress import bar
 from hybridreg_ros.replay import session
 from hybridreg_ros.replay.bag_reader import open_bag
 from hybridreg_ros.replay.live_log import LiveRecorder
+from hybridreg_ros.replay.outputs import OutputFiles
 from hybridreg_ros.replay.runner import INTERRUPTED, Drop
 
 if TYPE_CHECKING:
@@ -55,10 +56,21 @@ def check_options(args: argparse.Namespace) -> None:
         '--map': args.map is not None,
         '--moving': args.moving is not None,
         '--video': args.video is not None,
+        '--rerun': args.rerun is not None,
     }
     for option, used in refused.items():
         if used:
             raise ConfigError(f'{option} cannot be combined with --live: leave one of them out')
+    check_ros()
+
+
+def check_ros() -> None:
+    """Find rclpy before the work begins.
+
+    Raises:
+        DependencyError: it is not installed.
+    """
+    require('--live', 'ros', 'rclpy')
 
 
 def _said(diagnostics: str) -> list[str]:
@@ -81,19 +93,20 @@ def replay_live(
         DependencyError: rclpy is not installed.
         HybridRegError: the node did not start or went silent.
     """
-    try:
-        from hybridreg_ros.ros.playback import live
-    except ModuleNotFoundError as error:
-        raise DependencyError(
-            f"--live needs {error.name}: pip install 'hybridreg_ros[ros]', or source ROS 2 Jazzy"
-        ) from None
-    topic, count = session.planned_frames(job)
+    check_ros()
+    from hybridreg_ros.ros.playback import live
+
+    topic, count, chosen = session.plan_of(job)
     with open_bag(job.bag) as bag:  # a folder of files cannot be played
         truth = session.truth_of(job, bag)
     job.out.mkdir(parents=True, exist_ok=True)
-    recorder = LiveRecorder(job.out, count)
+    files = OutputFiles(job.out)
+    recorder = LiveRecorder(files, count)
     about: dict[str, Any] = {'topic': topic, 'stride': 1, 'live': True, 'rate': options.rate}
-    with bar(count, job.bag.name) as shown, contextlib.closing(recorder):
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(contextlib.closing(files))
+        stack.enter_context(contextlib.closing(recorder))
+        shown = stack.enter_context(bar(count, job.bag.name))
 
         def on_odom(msg: Any) -> None:
             recorder.on_odom(msg)
@@ -120,9 +133,12 @@ def replay_live(
             ]
         except KeyboardInterrupt:
             recorder.log.interrupted = INTERRUPTED
-    runs = [] if beside is None else [_afterwards(job, topic, beside, truth)]
-    views, seen = recorder.album.views(), recorder.seen.scene()
-    return session.finish(job, recorder.log, truth, views, about, seen, runs)
+        shown.close()
+        recorder.close()
+        recorder.log.notes += [chosen] if chosen else []
+        runs = [] if beside is None else [_afterwards(job, topic, beside, truth)]
+        views, seen = recorder.album.views(), recorder.seen.scene()
+        return session.finish(job, recorder.log, truth, views, about, seen, runs, [files])
 
 
 def _afterwards(

@@ -9,7 +9,7 @@ import logging
 import os
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from hybridreg_ros.core.errors import DependencyError, HybridRegError
+from hybridreg_ros.core.errors import HybridRegError, require
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -47,15 +47,21 @@ def each(
             yield future.result()
 
 
+def require_dask() -> None:
+    """Find Dask before the work begins.
+
+    Raises:
+        DependencyError: it is not installed.
+    """
+    require('--workers or --scheduler', 'scale', 'dask', 'distributed')
+
+
 @contextlib.contextmanager
 def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
-    try:
-        import dask
-        from distributed import Client, LocalCluster
-    except ImportError:
-        raise DependencyError(
-            "several workers need Dask: pip install 'hybridreg_ros[scale]'"
-        ) from None
+    require_dask()
+    import dask
+    from distributed import Client, LocalCluster
+
     # What Dask says of its workers' comings and goings is no news to anybody here.
     logging.getLogger('distributed').setLevel(logging.CRITICAL)
     if scheduler is not None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hybridreg_ros.core.errors import DependencyError, FileFormatError
+from hybridreg_ros.core.errors import FileFormatError, require
 from hybridreg_ros.core.se3 import apply
 from hybridreg_ros.data.hybridmatch.preview_raster import (
     BLUE,
@@ -69,12 +69,9 @@ def figure(width: float, height: float) -> Any:
     Raises:
         DependencyError: matplotlib is not installed.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise DependencyError(
-            "pictures need matplotlib: pip install 'hybridreg_ros[data]'"
-        ) from None
+    require('a picture', 'data', 'matplotlib')
+    from matplotlib.figure import Figure
+
     return Figure((width, height), layout='constrained')
 
 

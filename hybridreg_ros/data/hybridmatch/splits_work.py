@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from multiprocessing import get_context, parent_process
 from typing import TYPE_CHECKING, Any
 
-from hybridreg_ros.core.errors import DependencyError, HybridRegError
+from hybridreg_ros.core.errors import HybridRegError, require
 from hybridreg_ros.data.hybridmatch.room_pairs import make_samples
 from hybridreg_ros.data.hybridmatch.splits_files import Made, Row, pack
 
@@ -109,12 +109,9 @@ def _ahead(
 
 
 def _on_dask(blocks: Iterator[Block], scheduler: str) -> Iterator[tuple[Block, Made]]:
-    try:
-        from distributed import Client
-    except ImportError:
-        raise DependencyError(
-            "a scheduler needs Dask: pip install 'hybridreg_ros[scale]'"
-        ) from None
+    require('--scheduler', 'scale', 'distributed')
+    from distributed import Client
+
     try:
         client = Client(scheduler, timeout=_CONNECT_S)
     except (OSError, TimeoutError, ValueError) as error:

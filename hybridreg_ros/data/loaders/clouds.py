@@ -37,6 +37,7 @@ DAMAGE = (
     zlib.error,
 )
 """What numpy and zipfile raise on damaged files."""
+SUFFIXES = ('.ply', '.pcd', '.npy', '.npz', '.bin')
 NPZ_KEYS = ('points', 'xyz', 'cloud', 'pos', 'arr_0')
 
 
@@ -103,7 +104,7 @@ def write_cloud(path: str | Path, points: NDArray[np.floating]) -> None:
         elif suffix == '.npz':
             np.savez_compressed(path, points=xyz)
         else:
-            raise FileFormatError(f'{path}: expected .npy, .npz, .ply, .pcd or .bin')
+            raise FileFormatError(f'{path}: expected {", ".join(SUFFIXES)}')
     except OSError as error:
         raise FileFormatError(f'cannot write {path}: {error.strerror or error}') from None
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hybridreg_ros.core.errors import DependencyError, FileFormatError
+from hybridreg_ros.core.errors import FileFormatError, require
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -60,10 +60,9 @@ def read_depth_m(path: str | Path, units_per_m: float = 1000.0) -> NDArray[np.fl
         FileFormatError: the file is missing, damaged, or another kind of image.
         DependencyError: pillow is not installed.
     """
-    try:
-        from PIL import Image, UnidentifiedImageError
-    except ImportError:
-        raise DependencyError('depth images need pillow: pip install pillow') from None
+    require('a depth image', 'data', 'PIL')
+    from PIL import Image, UnidentifiedImageError
+
     try:
         with Image.open(path) as image:
             raw = np.array(image)

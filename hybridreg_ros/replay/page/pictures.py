@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hybridreg_ros.core.errors import DependencyError
+from hybridreg_ros.core.errors import require
 from hybridreg_ros.replay.runner import DYNAMIC_THRESHOLD, true_dynamic
 
 if TYPE_CHECKING:
@@ -134,11 +134,7 @@ def _colours(view: FrameView, distance: NDArray[np.float64]) -> NDArray[np.uint8
 
 
 def render(view: FrameView) -> bytes:
-    """PNG of a frame in angles around the sensor; near points cover far ones.
-
-    Raises:
-        DependencyError: pillow is not installed.
-    """
+    """PNG of a frame in angles around the sensor; near points cover far ones."""
     stream = io.BytesIO()
     drawn(view).save(stream, 'PNG', optimize=True)
     return stream.getvalue()
@@ -150,12 +146,9 @@ def drawn(view: FrameView) -> Any:
     Raises:
         DependencyError: pillow is not installed.
     """
-    try:
-        from PIL import Image
-    except ImportError:
-        raise DependencyError(
-            "pictures need pillow: pip install 'hybridreg_ros[replay]'"
-        ) from None
+    require('a picture', 'replay', 'PIL')
+    from PIL import Image
+
     empty = np.full((MIN_HEIGHT, WIDTH, 3), BACKGROUND, dtype=np.uint8)
     return Image.fromarray(_raster(view) if len(view.points) else empty)
 
@@ -177,7 +170,7 @@ class Film:
         if self._seen % self._every == 0:
             moving = result.dynamic_probability >= self._threshold
             image = drawn(FrameView(result.stamp, result.scan.points, moving, None))
-            height = round(image.height * FILM_WIDTH / image.width)
+            height = 2 * round(image.height * FILM_WIDTH / image.width / 2)  # as H.264 needs
             if self._frames:  # all frames of a film have one size
                 height = next(iter(self._frames.values())).height
             small = image.resize((FILM_WIDTH, height))
@@ -188,18 +181,28 @@ class Film:
             self._every *= 2
 
     def write(self, path: Path) -> None:
-        """Write a .gif or .webp that lasts as long as the run (at 10 to 50 frames per second)."""
+        """Write a .gif, .webp or .mp4; it lasts as long as the run (at 10 to 50 Hz)."""
         images = list(self._frames.values())
         if not images:
             return
         stamps = list(self._frames)
         gap_ms = 1e-6 * (stamps[-1] - stamps[0]) / max(len(stamps) - 1, 1)
+        gap_ms = float(np.clip(gap_ms, 20, 100))
         path.parent.mkdir(parents=True, exist_ok=True)
+        if path.suffix.lower() == '.mp4':
+            from imageio_ffmpeg import write_frames
+
+            film = write_frames(str(path), images[0].size, fps=1000.0 / gap_ms, macro_block_size=2)
+            film.send(None)
+            for image in images:
+                film.send(image.convert('RGB').tobytes())
+            film.close()
+            return
         images[0].save(
             path,
             save_all=True,
             append_images=images[1:],
-            duration=int(np.clip(gap_ms, 20, 100)),
+            duration=int(gap_ms),
             loop=0,
             quality=40,
         )

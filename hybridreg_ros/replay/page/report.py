@@ -7,14 +7,14 @@ from __future__ import annotations
 import base64
 from dataclasses import dataclass, field
 from html import escape
-from importlib.util import find_spec
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.core.errors import DependencyError
+from hybridreg_ros.core.errors import require
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.warm_up import SCANS
 from hybridreg_ros.replay.frame_errors import frame_errors
@@ -65,23 +65,17 @@ def plotly_script() -> str:
     Raises:
         DependencyError: a package that a report needs is not installed.
     """
-    return (check_packages() / 'package_data' / 'plotly.min.js').read_text('utf-8')
+    check_packages()
+    return (files('plotly') / 'package_data' / 'plotly.min.js').read_text('utf-8')
 
 
-def check_packages() -> Path:
-    """Find what a report needs before the work begins; the folder of plotly.
+def check_packages() -> None:
+    """Find what a report needs before the work begins.
 
     Raises:
         DependencyError: a package is not installed.
     """
-    found = {name: find_spec(name) for name in ('PIL', 'evo', 'plotly')}
-    missing = [name for name, spec in found.items() if spec is None]
-    plotly = found['plotly']
-    if missing or plotly is None or plotly.origin is None:
-        raise DependencyError(
-            f"reports need {', '.join(missing)}: pip install 'hybridreg_ros[replay]'"
-        )
-    return Path(plotly.origin).parent
+    require('a report', 'replay', 'PIL', 'evo', 'plotly')
 
 
 def _errors(run: ReportRun) -> FrameErrors | None:

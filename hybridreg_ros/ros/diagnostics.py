@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from hybridreg_ros.odometry.result import Source
+from hybridreg_ros.ros.monitor import weak_direction
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -76,6 +77,9 @@ def _about_clouds(state: Snapshot) -> list[tuple[bytes, str]]:
         found.append((ERROR, f'lost: {state.reason.value}; the pose must not be used'))
     elif state.recent_poor:
         found.append((WARN, f'pose only predicted: {_listing(state.recent_poor)}'))
+    if state.weak_direction != 'none':
+        text = f'nothing holds the position along {state.weak_direction} (axes of the cloud)'
+        found.append((WARN, text))
     if state.recent_drops:
         unasked = set(state.recent_drops) - {'paused', 'reset'}
         severe = 'internal_error' in unasked or (unasked and not state.processed)
@@ -125,6 +129,7 @@ def status(state: Snapshot, setting: Setting) -> DiagnosticStatus:
         'source': 'none' if state.source is None else state.source.value,
         'reason': state.reason.value,
         'confidence': f'{state.confidence:.3f}',
+        'weak_direction': state.weak_direction,
         'load': str(state.load),
         'weights': setting.weights,
         'input_rate_hz': f'{state.input_rate_hz:.2f}',
@@ -176,6 +181,7 @@ def of_frame(result: OdometryResult, name: str, stamp: Time) -> DiagnosticArray:
         'source': result.source.value,
         'reason': result.reason.value,
         'confidence': f'{result.confidence:.6f}',
+        'weak_direction': weak_direction(result),
         'keyframe': str(result.keyframe_id),
         'is_keyframe': str(result.is_keyframe).lower(),
         'deskewed': str(result.deskewed).lower(),

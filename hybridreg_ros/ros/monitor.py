@@ -59,6 +59,7 @@ class Snapshot:
         source: branch of the last result, None before the first.
         reason: why that branch.
         confidence: of the last result.
+        weak_direction: of the last result, as text (`weak_direction`).
         deskewed: whether the last scan was deskewed.
         load: of the last result; above 0 less is done per cloud.
         last_switch: one line about the last change of source.
@@ -84,12 +85,20 @@ class Snapshot:
     source: Source | None
     reason: Reason
     confidence: float
+    weak_direction: str
     deskewed: bool
     load: int
     last_switch: str
     note: str
     times_from: str
     timings_s: Mapping[str, float] = field(default_factory=dict)
+
+
+def weak_direction(result: OdometryResult) -> str:
+    """Direction along which nothing holds the position, axes of the cloud; 'none' if held."""
+    if result.weak_direction is None:
+        return 'none'
+    return ' '.join(f'{v:.2f}' for v in result.pose[:3, :3].T @ result.weak_direction)
 
 
 class Monitor:
@@ -199,6 +208,7 @@ class Monitor:
                 source=None if result is None else result.source,
                 reason=Reason.OK if result is None else result.reason,
                 confidence=0.0 if result is None else result.confidence,
+                weak_direction='none' if result is None else weak_direction(result),
                 deskewed=result is not None and result.deskewed,
                 load=0 if result is None else result.load,
                 last_switch=self._switch,

@@ -197,10 +197,10 @@ class TestDiagnostics:
         assert (found.level, found.message) == (DiagnosticStatus.OK, 'ok')
         told = values(found)
         assert told['source'] == 'hybridreg'
-        assert told['confidence'] == '0.750'
+        assert told['confidence'] == '0.750000'
         assert (told['received'], told['processed'], told['dropped']) == ('1', '1', '0')
         assert told['invalid_points'] == '3'
-        assert told['match_ms'] == '20.0'
+        assert told['match_ms'] == '20.000'
 
     def test_switches_are_told_with_their_reason(self):
         monitor = Monitor()

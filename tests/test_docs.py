@@ -19,6 +19,7 @@ import pytest
 from hybridreg_ros.model.budget import Budget
 from hybridreg_ros.model.config import ModelConfig
 from hybridreg_ros.odometry.config import OdometryConfig
+from hybridreg_ros.odometry.result import Reason
 from hybridreg_ros.ros.node_config import NodeConfig
 from hybridreg_ros.ros.topics import SERVICES, TOPICS
 from hybridreg_ros.training.config import TrainConfig
@@ -117,6 +118,20 @@ def test_options_that_are_named_exist(page: Path) -> None:
     sections = '|'.join(sorted({name.partition('.')[0] for name in known if '.' in name}))
     named = set(re.findall(rf'`((?:{sections})\.(?!py`)\w+)[`:]', page.read_text('utf-8')))
     assert named <= known, f'no such options: {named - known}'
+
+
+def test_each_reason_is_explained_with_what_to_do() -> None:
+    rows = (DOCS / 'guide' / 'troubleshooting.md').read_text('utf-8').splitlines()
+    told = {
+        r: row.split('|')
+        for row in rows
+        if row.count('|') == 4
+        for r in re.findall(r'`(\w+)`', row.split('|')[1])
+    }
+    for reason in Reason:
+        _, _, meaning, remedy, _ = told[reason.value]
+        assert meaning.strip(), reason
+        assert remedy.strip(), reason
 
 
 @pytest.mark.parametrize('page', OUTSIDE, ids=name_of)

@@ -82,14 +82,12 @@ class Score:
         sigmas: error of each in standard deviations along the worst of six axes.
         wrong: whether each is off by more than WRONG_M or WRONG_DEG.
         confidences: reported of each.
-        reasons: reported of each.
     """
 
     errors: list[float] = field(default_factory=list)
     sigmas: list[float] = field(default_factory=list)
     wrong: list[bool] = field(default_factory=list)
     confidences: list[float] = field(default_factory=list)
-    reasons: list[str] = field(default_factory=list)
 
     def add(self, result: OdometryResult, truth: F64) -> None:
         """Score one scan by its true pose (4, 4)."""
@@ -102,7 +100,6 @@ class Score:
         turn_deg = se3.rotation_angle_deg(off[:3, :3])
         self.wrong.append(self.errors[-1] > WRONG_M or turn_deg > WRONG_DEG)
         self.confidences.append(result.confidence)
-        self.reasons.append(result.reason.value)
 
     @property
     def wrong_above_gate(self) -> int:

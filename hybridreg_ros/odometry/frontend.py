@@ -326,7 +326,7 @@ class HybridOdometry:
             covariance=estimate.covariance,
             twist=self._motion.twist,
             twist_covariance=covariance.of_twist(
-                estimate.covariance, estimate.pose, self._motion.last_step_s
+                estimate.own_covariance, estimate.pose, self._motion.last_step_s
             ),
             source=estimate.source,
             reason=fault or estimate.reason,

@@ -110,17 +110,17 @@ class Keyframes:
 
     def to_match(self, predicted: NDArray[np.float64]) -> Keyframe | None:
         """Of the newest few, the one nearest to where the sensor should be (turns count too)."""
-        return min(self.recent, key=lambda f: self._distance(f, predicted), default=None)
+        return min(self.recent, key=lambda f: self.distance(f, predicted), default=None)
 
     def nearest(self, pose: NDArray[np.float64], count: int) -> list[Keyframe]:
         """The keyframes nearest to a pose, for relocalisation."""
-        return sorted(self._frames, key=lambda f: self._distance(f, pose))[:count]
+        return sorted(self._frames, key=lambda f: self.distance(f, pose))[:count]
 
     def clear(self) -> None:
         """Forget all; numbers go on."""
         self._frames.clear()
 
-    def _distance(self, frame: Keyframe, pose: NDArray[np.float64]) -> float:
+    def distance(self, frame: Keyframe, pose: NDArray[np.float64]) -> float:
         """How far a pose is from a keyframe, in units of the keyframe rule."""
         delta = se3.inverse(frame.T_odom_keyframe) @ pose
         shift = float(np.linalg.norm(delta[:3, 3])) / self._reach_m

@@ -141,7 +141,7 @@ class Locator:
             watch.lap('refine')
             found = other if _is_better(other, found) else found
             if isinstance(found, Located) and self._is_sure(found):
-                return found
+                return self._or_nearer(found, cloud, trust, expected, check)
         why = found if isinstance(found, Reason) else Reason.LOW_CONFIDENCE
         other = self._by_fallback(cloud, [expected.pose, last], trust, check, why, effort.thorough)
         return other if _is_better(other, found) else found
@@ -235,8 +235,34 @@ class Locator:
             return wide
         return better(wide, tried(self._near(cloud, predicted, trust, wide), check))
 
+    def _or_nearer(
+        self,
+        found: Located,
+        cloud: PreprocessedScan,
+        trust: F32,
+        expected: Expected,
+        check: Callable[[Fit], Candidate],
+    ) -> Located:
+        """A sure pose of the network, or a better one close to the prediction.
+
+        Where a structure repeats (stairs, shelves) the network finds any period of it. While
+        predictions have not been proven, every pose that is off by a voxel is such a one.
+        """
+        pose = found.fit.T_odom_sensor
+        off = candidates.apart(expected.pose, pose, self._voxel_m, 1.0)
+        if off < 1.0 or (expected.is_proven and not self._is_far(pose)):
+            return found
+        nearer = tried(self._near(cloud, expected.pose, trust, found), check)
+        if nearer is None or nearer.rank <= found.rank:
+            return found
+        return located_by_kiss(nearer, Reason.DISAGREES_WITH_MOTION)
+
     def _near(
-        self, cloud: PreprocessedScan, predicted: F64, trust: F32, known: Candidate | None
+        self,
+        cloud: PreprocessedScan,
+        predicted: F64,
+        trust: F32,
+        known: Candidate | Located | None,
     ) -> Callable[[], Fit | None]:
         """Way to register close to the prediction; it leads to nothing the second time."""
         prior, reach_m, self._reach_m = self._prior, self._reach_m, None

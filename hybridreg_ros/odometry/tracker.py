@@ -91,7 +91,9 @@ class Tracker:
         self._bad_frames = 0
         self._lost_since, self._lost_twist = 0, np.zeros(6)
         self._blind_leg = np.zeros((6, 6)) if leg is None else leg
-        self._weak_leg, self._held = np.zeros((6, 6)), motion.stamp
+        self._held = self._counted = motion.stamp
+        self._held_twist: F64 | None = None
+        self._surroundings: dict[int, F64] = {}
         self._opening: tuple[PreprocessedScan, int] | None = None
         self._continuity = ScanContinuity()
         self._since_update = 0
@@ -266,12 +268,9 @@ class Tracker:
         self.lost = False
         self._bad_frames = self._bad_frames + 1 if found.tentative else 0
         self.source = found.source
-        section = self._config.covariance
-        factor = section.scale or calibration.packaged().covariance_scale[self.sensor.kind]
-        if found.source is Source.KISS_ICP:
-            factor *= section.fallback_factor
-        ahead_s = cloud.reported_s - cloud.instant_s
-        self.covariance = covariance.of_fit(found.fit, ahead_s, factor) + self._leg(found, stamp)
+        own = self._own(found, cloud.reported_s - cloud.instant_s)
+        around, new = self._around(pose, own)
+        self.covariance = around + own + self._leg(found, stamp)
         loose = bool(found.fit.unheld.any())
         reason = Reason.DEGENERATE if loose else found.reason
         reason = Reason.RECOVERED if was_lost else reason
@@ -280,17 +279,47 @@ class Tracker:
         estimate = self._estimate(pose, reason, confidence, nothing(cloud), False)
         self._since_update += 1
         static = self._static(encoded, pose) if effort.thorough else None
-        update = partial(self._update, cloud, encoded, stamp, found, static)
+        update = partial(self._update, cloud, encoded, stamp, found, static, around + new * own)
         self._becomes_keyframe = self._world.is_due(found, stamp)
         if self._since_update < effort.update_every and not self._becomes_keyframe:
             update = partial(self._pass_over, cloud, found)
         return replace(
             estimate,
+            own_covariance=own,
             reported=reported,
             reported_confidence=told,
             update=update,
             weak_direction=covariance.weak_direction(found.fit.unheld),
         )
+
+    def _own(self, found: Located, ahead_s: float) -> F64:
+        """Covariance (6, 6) in its surroundings of a pose told `ahead_s` after its instant."""
+        section = self._config.covariance
+        factor = section.scale or calibration.packaged().covariance_scale[self.sensor.kind]
+        if found.source is Source.KISS_ICP:
+            factor *= section.fallback_factor
+        return covariance.of_registration(found.fit, ahead_s, factor)
+
+    def _around(self, pose: F64, own: F64) -> tuple[F64, float]:
+        """How far off the surroundings are in which a pose stands.
+
+        They are those of the nearest keyframe, as far off as its pose was; the first one's own
+        noise shows in how a scan lies on it. The farther a pose is from its keyframe, the more of
+        what it sees is new, and as far off as the pose itself.
+
+        Args:
+            pose: (4, 4) the pose.
+            own: (6, 6) covariance of the pose in its surroundings.
+
+        Returns:
+            Covariance (6, 6) at the pose, and the share of the surroundings that is new, [0, 1].
+        """
+        keyframes = self._world.keyframes
+        near = keyframes.to_match(pose)
+        assert near is not None
+        known = self._surroundings.setdefault(near.number, own)
+        shift = pose[:3, 3] - near.T_odom_keyframe[:3, 3]
+        return covariance.carried(known, shift), min(1.0, keyframes.distance(near, pose))
 
     def _leg(self, found: Located, stamp: int) -> F64:
         """Covariance (6, 6) of the ways on which nothing held the pose, the present one included.
@@ -298,12 +327,14 @@ class Tracker:
         What was written to the map on such a way stays as far off as the way was.
         """
         if not found.fit.unheld.any():
-            self._blind_leg, self._weak_leg = self._blind_leg + self._weak_leg, np.zeros((6, 6))
-            self._held = stamp
+            self._held, known = stamp, self._motion.last_step_s > 0.0
+            self._held_twist = self._motion.twist if known else None
         else:
-            seconds = max(0.0, (stamp - self._held) / NS_PER_S)
-            self._weak_leg = covariance.along(found.fit.unheld, self._motion.twist, seconds)
-        return self._blind_leg + self._weak_leg
+            since_s, until_s = ((s - self._held) / NS_PER_S for s in (self._counted, stamp))
+            grown = covariance.along(found.fit.unheld, self._held_twist, since_s, until_s)
+            self._blind_leg = self._blind_leg + grown
+        self._counted = stamp
+        return self._blind_leg
 
     def _update(
         self,
@@ -312,6 +343,7 @@ class Tracker:
         stamp: int,
         found: Located,
         static: Callable[[], PointMask | None] | None,
+        around: F64,
         watch: Watch,
     ) -> Update:
         """Say what moves in a located scan, and write what stands still to the world."""
@@ -323,6 +355,10 @@ class Tracker:
         watch.lap('dynamics')
         keyframe = self._world.add(cloud, stamp, found, dynamic, image)
         if keyframe is not None:
+            self._surroundings = {
+                f.number: self._surroundings.get(f.number, around)
+                for f in self._world.keyframes.recent
+            }
             self._adopt(keyframe, encoded)
             if self._learned is not None:
                 give_back()  # what the network took; after every scan it costs a tenth of a step
@@ -360,6 +396,7 @@ class Tracker:
             self._blind_leg = self.leg_to(stamp)
         self._stop(stamp, self._motion.predict(stamp))
         pose = self._motion.pose
+        self._held, self._counted, self._held_twist = stamp, stamp, None
         self.lost, self._bad_frames = False, 0
         self.source = Source.KISS_ICP if self._learned is None else Source.HYBRIDREG
         first = reason is Reason.FIRST_SCAN
@@ -431,6 +468,7 @@ class Tracker:
         return Estimate(
             pose=pose,
             covariance=self.covariance,
+            own_covariance=self.covariance,
             source=self.source,
             reason=reason,
             confidence=confidence,
@@ -458,14 +496,16 @@ class Update(NamedTuple):
 class Estimate:
     """What the tracker says about one cloud; fields as in OdometryResult.
 
-    `reported` is the pose at the instant that is asked for, None where only the velocity between
-    scans leads there; `reported_confidence` is what the confidence follows from, None where it is
-    0; `weak_direction` as in OdometryResult. `update` makes mask, map and keyframes, to be called
+    `own_covariance` is what its pose does not share with the last one; `reported` is the pose at
+    the instant that is asked for, None where only the velocity between scans leads there;
+    `reported_confidence` is what the confidence follows from, None where it is 0;
+    `weak_direction` as in OdometryResult. `update` makes mask, map and keyframes, to be called
     once before the next step; None = nothing to do.
     """
 
     pose: F64
     covariance: F64
+    own_covariance: F64
     source: Source
     reason: Reason
     confidence: float

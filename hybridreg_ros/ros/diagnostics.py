@@ -72,17 +72,21 @@ def findings(state: Snapshot, setting: Setting) -> list[tuple[bytes, str]]:
 
 def _about_clouds(state: Snapshot) -> list[tuple[bytes, str]]:
     found = []
-    if state.source is Source.LOST:
-        found.append((ERROR, f'lost: {state.reason.value}; the pose must not be used'))
+    last = state.last
+    if last is not None and last.source is Source.LOST:
+        found.append((ERROR, f'lost: {last.reason.value}; the pose must not be used'))
     elif state.recent_poor:
         found.append((WARN, f'pose only predicted: {_listing(state.recent_poor)}'))
+    if last is not None and last.weak_direction is not None:
+        text = f'nothing holds the position along {_weak_direction(last)} (axes of the cloud)'
+        found.append((WARN, text))
     if state.recent_drops:
         unasked = set(state.recent_drops) - {'paused', 'reset'}
         severe = 'internal_error' in unasked or (unasked and not state.processed)
         text = f'clouds dropped: {_listing(state.recent_drops)}; last: {state.last_drop}'
         found.append((ERROR if severe else WARN, text))
-    if state.load:
-        found.append((WARN, f'behind its sensor: less is done per cloud (load {state.load})'))
+    if last is not None and last.load:
+        found.append((WARN, f'behind its sensor: less is done per cloud (load {last.load})'))
     if state.note:
         found.append((WARN, state.note))
     return found
@@ -118,14 +122,31 @@ def _listing(counts: Mapping[str, int]) -> str:
     return ', '.join(f'{n} {cause}' for cause, n in sorted(counts.items()))
 
 
+def _told(result: OdometryResult) -> dict[str, str]:
+    return {
+        'source': result.source.value,
+        'reason': result.reason.value,
+        'confidence': f'{result.confidence:.6f}',
+        'weak_direction': _weak_direction(result),
+        'load': str(result.load),
+        'deskewed': str(result.deskewed).lower(),
+        'point_times': result.scan.times_from,
+        **{f'{stage}_ms': f'{1e3 * s:.3f}' for stage, s in result.timings_s.items()},
+    }
+
+
+def _weak_direction(result: OdometryResult) -> str:
+    """Direction along which nothing holds the position, axes of the cloud; 'none' if held."""
+    if result.weak_direction is None:
+        return 'none'
+    return ' '.join(f'{v:.2f}' for v in result.pose[:3, :3].T @ result.weak_direction)
+
+
 def status(state: Snapshot, setting: Setting) -> DiagnosticStatus:
     """Build the diagnostic status of this instant."""
     found = findings(state, setting)
     values = {
-        'source': 'none' if state.source is None else state.source.value,
-        'reason': state.reason.value,
-        'confidence': f'{state.confidence:.3f}',
-        'load': str(state.load),
+        **({'source': 'none', 'reason': 'none'} if state.last is None else _told(state.last)),
         'weights': setting.weights,
         'input_rate_hz': f'{state.input_rate_hz:.2f}',
         'received': str(state.received),
@@ -141,12 +162,9 @@ def status(state: Snapshot, setting: Setting) -> DiagnosticStatus:
         'latency_ms': f'{1e3 * state.latency_s:.1f}',
         'worst_latency_ms': f'{1e3 * state.worst_latency_s:.1f}',
         'last_switch': state.last_switch,
-        'deskewed': str(state.deskewed).lower(),
-        'point_times': state.times_from,
         'tf': setting.tf,
         **setting.guides,
         'transport': setting.transport,
-        **{f'{stage}_ms': f'{1e3 * s:.1f}' for stage, s in state.timings_s.items()},
     }
     return DiagnosticStatus(
         level=found[0][0] if found else OK,
@@ -173,13 +191,9 @@ def of_frame(result: OdometryResult, name: str, stamp: Time) -> DiagnosticArray:
         stamp: of the cloud, by which the message is joined with the odometry.
     """
     values = {
-        'source': result.source.value,
-        'reason': result.reason.value,
-        'confidence': f'{result.confidence:.6f}',
+        **_told(result),
         'keyframe': str(result.keyframe_id),
         'is_keyframe': str(result.is_keyframe).lower(),
-        'deskewed': str(result.deskewed).lower(),
-        **{f'{stage}_ms': f'{1e3 * s:.3f}' for stage, s in result.timings_s.items()},
     }
     status = DiagnosticStatus(
         level=ERROR if result.source is Source.LOST else OK,

@@ -7,7 +7,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter, deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -56,15 +56,9 @@ class Snapshot:
         worst_latency_s: largest of the last 50.
         invalid_points: rows with NaN or inf so far.
         near_points: rows without a return, or nearer than the sensor can see, so far.
-        source: branch of the last result, None before the first.
-        reason: why that branch.
-        confidence: of the last result.
-        deskewed: whether the last scan was deskewed.
-        load: of the last result; above 0 less is done per cloud.
+        last: the last result, None before the first.
         last_switch: one line about the last change of source.
         note: remark of the decoder about per-point times, '' for none.
-        times_from: field and unit of the per-point times in use, or why there are none.
-        timings_s: seconds per stage of the last result.
     """
 
     received: int
@@ -81,15 +75,9 @@ class Snapshot:
     worst_latency_s: float
     invalid_points: int
     near_points: int
-    source: Source | None
-    reason: Reason
-    confidence: float
-    deskewed: bool
-    load: int
+    last: OdometryResult | None
     last_switch: str
     note: str
-    times_from: str
-    timings_s: Mapping[str, float] = field(default_factory=dict)
 
 
 class Monitor:
@@ -179,7 +167,7 @@ class Monitor:
             poor = self._poor - self._poor_reported
             self._poor_reported = self._poor.copy()
             latencies = sorted(self._latencies) or [0.0]
-            arrivals, result = self._arrivals, self._result
+            arrivals = self._arrivals
             span = arrivals[-1] - arrivals[0] if len(arrivals) > 1 else 0.0
             return Snapshot(
                 received=self._received,
@@ -196,13 +184,7 @@ class Monitor:
                 worst_latency_s=latencies[-1],
                 invalid_points=self._invalid,
                 near_points=self._near,
-                source=None if result is None else result.source,
-                reason=Reason.OK if result is None else result.reason,
-                confidence=0.0 if result is None else result.confidence,
-                deskewed=result is not None and result.deskewed,
-                load=0 if result is None else result.load,
+                last=self._result,
                 last_switch=self._switch,
                 note=self._note,
-                times_from='none yet' if result is None else result.scan.times_from,
-                timings_s={} if result is None else dict(result.timings_s),
             )

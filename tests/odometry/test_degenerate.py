@@ -43,6 +43,14 @@ def test_what_nothing_holds_is_told(name: str, reason: Reason) -> None:
         assert score.errors[-1] > 0.5  # nobody could know how fast it goes
 
 
+def test_no_step_of_stairs_is_left_out() -> None:
+    odometry, score = HybridOdometry(), Score()
+    for scan, truth in replace(PLACES['stairs'], scans=8).clouds():
+        score.add(odometry.step(scan), truth)
+    assert max(score.errors) < 0.02  # a step is 0.33 m long, and 0.06 m a scan
+    assert min(score.confidences) >= GATE
+
+
 def test_only_what_no_surface_holds_is_free() -> None:
     any_way = np.diag([3e6] * 3 + [3e7] * 3)
     H = any_way / 3.0

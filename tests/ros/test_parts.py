@@ -17,6 +17,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed (pip install hybridr
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Header
 
+from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import ConfigError
 from hybridreg_ros.core.pointcloud2 import from_arrays
 from hybridreg_ros.core.scan import Scan
@@ -27,7 +28,7 @@ from hybridreg_ros.ros import fastdds
 from hybridreg_ros.ros.clouds.frame_queue import FrameQueue
 from hybridreg_ros.ros.clouds.subscription import LossCounter
 from hybridreg_ros.ros.conversions import to_pointcloud2, to_time
-from hybridreg_ros.ros.diagnostics import Setting, status
+from hybridreg_ros.ros.diagnostics import Setting, of_frame, status
 from hybridreg_ros.ros.monitor import Drop, Monitor
 from hybridreg_ros.ros.node_config import NodeConfig
 from hybridreg_ros.ros.worker import Arrival, Worker
@@ -196,10 +197,10 @@ class TestDiagnostics:
         assert (found.level, found.message) == (DiagnosticStatus.OK, 'ok')
         told = values(found)
         assert told['source'] == 'hybridreg'
-        assert told['confidence'] == '0.750'
+        assert told['confidence'] == '0.750000'
         assert (told['received'], told['processed'], told['dropped']) == ('1', '1', '0')
         assert told['invalid_points'] == '3'
-        assert told['match_ms'] == '20.0'
+        assert told['match_ms'] == '20.000'
 
     def test_switches_are_told_with_their_reason(self):
         monitor = Monitor()
@@ -218,6 +219,21 @@ class TestDiagnostics:
         found = status(monitor.snapshot(), SETTING)
         assert found.level == DiagnosticStatus.ERROR
         assert found.message.startswith('lost: no_overlap')
+
+    def test_a_direction_that_nothing_holds_is_named(self):
+        monitor, weak = Monitor(), np.array([0.6, 0.0, -0.8])
+        turned = se3.transform(se3.so3_exp(np.array([0.0, 0.0, np.pi / 2.0])), np.zeros(3))
+        held = replace(result(Source.HYBRIDREG), pose=turned)
+        for direction, level, text in [
+            (weak, DiagnosticStatus.WARN, '0.00 -0.60 -0.80'),
+            (None, DiagnosticStatus.OK, 'none'),
+        ]:
+            last = replace(held, weak_direction=direction)
+            monitor.processed(last, monitor.arrived())
+            found = status(monitor.snapshot(), SETTING)
+            assert (found.level, values(found)['weak_direction']) == (level, text)
+            frame = of_frame(last, 'hybridreg', to_time(10**9)).status[0]
+            assert values(frame)['weak_direction'] == text
 
     def test_drops_warn_once_and_stay_counted(self):
         monitor = Monitor()

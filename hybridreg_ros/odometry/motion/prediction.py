@@ -60,6 +60,11 @@ class Expected:
     start: Start | None = None
     known: bool = True
 
+    @property
+    def is_proven(self) -> bool:
+        """Whether its spread is that of predictions so far; else nothing is known of it."""
+        return bool(self.turn_rate.any())
+
     def off(self, pose: F64) -> F64:
         """How far a pose (4, 4) is from it: (6,) shift and turn in standard deviations."""
         delta = se3.inverse(self.pose) @ pose

@@ -4,11 +4,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hybridreg_ros.core import se3
 from hybridreg_ros.odometry.result import LOST_VARIANCE
 
 if TYPE_CHECKING:
@@ -22,11 +24,11 @@ _LARGEST_STD = 10.0
 
 _SLOW = np.array([0.5, 0.2])
 """Speed (m/s) and rate (rad/s) at which a sensor that was at rest may be moved by hand."""
-
-
-_FREE = np.array([0.5, 0.17])
-"""Standard deviation, metres and rad, of a pose along what nothing holds: as much as that of a
-first prediction, about which nothing is known either."""
+_FIRST_SPEED = np.array([5.0, 1.75])
+"""The same of a sensor about which nothing is known: 0.5 m and 10 degrees a scan."""
+_FREE = np.array([0.5, 0.175])
+"""Standard deviation, metres and rad, of a pose along what nothing holds, next to one that was
+held: as much as that of a first prediction, about which nothing is known either."""
 _WEAK = 0.5
 """Share of a direction that must lie in the space that nothing holds."""
 
@@ -78,6 +80,31 @@ def of_fit(fit: Fit, ahead_s: float, factor: float) -> F64:
     return carried
 
 
+def of_registration(fit: Fit, ahead_s: float, factor: float) -> F64:
+    """Covariance (6, 6), odom axes, of a pose in its surroundings, told with the pose.
+
+    Points err on their own, and alike within the parts of a scan; along what no surface holds the
+    pose is as a first prediction is.
+
+    Args:
+        fit: the scan in the map.
+        ahead_s: from the instant of the fit to the one reported, seconds.
+        factor: scale of the covariance that follows from the points.
+    """
+    predicted = factor * fit.unheld @ np.diag(np.repeat(_FREE**-2, 3)) @ fit.unheld
+    held = replace(fit, information=fit.information + predicted)
+    covariance: F64 = of_fit(held, ahead_s, factor) + fit.cluster_covariance
+    return covariance
+
+
+def carried(covariance: F64, shift: F64) -> F64:
+    """Covariance (6, 6) of what is fixed to a pose of this covariance, at a shift (3,) from it."""
+    lever = np.eye(6)
+    lever[:3, 3:] = -se3.hat(shift)
+    result: F64 = lever @ covariance @ lever.T
+    return result
+
+
 def weakest_m(covariance: F64) -> float:
     """Standard deviation, metres, of the position along the direction held worst.
 
@@ -99,31 +126,33 @@ def coasting(covariance: F64, factor: float, floor_m: float) -> F64:
     return grown
 
 
-def of_blindness(twist: F64, seconds: float) -> F64:
+def of_blindness(twist: F64 | None, seconds: float) -> F64:
     """Covariance (6, 6) of where a sensor has gone since nothing is known of it.
 
     It may have gone on or come back, so what the velocity before would have made is one standard
     deviation, along every axis; a sensor that stood may have been carried off too.
 
     Args:
-        twist: (6,) linear (m/s) and angular (rad/s) velocity before.
+        twist: (6,) linear (m/s) and angular (rad/s) velocity before, None = it was never known.
         seconds: time since then.
     """
-    speed, rate = np.linalg.norm(twist[:3]), np.linalg.norm(twist[3:])
-    std = np.minimum(_SLOW + np.array([speed, rate]), _LARGEST_STD / max(seconds, 1e-3)) * seconds
-    return np.diag(np.repeat(std**2, 3))
+    speed = _FIRST_SPEED
+    if twist is not None:
+        speed = _SLOW + np.array([np.linalg.norm(twist[:3]), np.linalg.norm(twist[3:])])
+    return np.diag(np.repeat(np.minimum(speed * seconds, _LARGEST_STD) ** 2, 3))
 
 
-def along(unheld: F64, twist: F64, seconds: float) -> F64:
-    """Covariance (6, 6) along directions that nothing has held for a while.
+def along(unheld: F64, twist: F64 | None, since_s: float, until_s: float) -> F64:
+    """Covariance (6, 6) added from scan to scan along directions that nothing holds.
 
     Args:
         unheld: (6, 6) projection onto them (`Fit.unheld`).
-        twist: (6,) velocity before.
-        seconds: for how long.
+        twist: (6,) velocity when they were last held, None = it was never known.
+        since_s: seconds since then, of the scan before.
+        until_s: the same of this one.
     """
-    free = of_blindness(twist, seconds) + np.diag(np.repeat(_FREE**2, 3))
-    covariance: F64 = unheld @ free @ unheld
+    grown = of_blindness(twist, until_s) - of_blindness(twist, since_s)
+    covariance: F64 = unheld @ grown @ unheld
     return covariance
 
 

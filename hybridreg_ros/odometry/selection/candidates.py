@@ -205,7 +205,7 @@ def innovation(pose: F64, expected: Expected | None, voxel_size_m: float) -> flo
     if expected is None or not expected.known:
         return 0.0
     usual = voxel_size_m + expected.shift_m, 1.0 + float(np.rad2deg(expected.turn_rad))
-    return float(np.log10(_USUAL + _apart(expected.pose, pose, *usual)))
+    return float(np.log10(_USUAL + apart(expected.pose, pose, *usual)))
 
 
 def runner_up(
@@ -225,13 +225,13 @@ def runner_up(
     """
     others = (
         (of_evidence(c.evidence) if refused else c.verdict.confidence)
-        * min(1.0, _apart(pose, c.fit.T_odom_sensor, voxel_size_m, 1.0))
+        * min(1.0, apart(pose, c.fit.T_odom_sensor, voxel_size_m, 1.0))
         for c in considered
     )
     return max(others, default=0.0)
 
 
-def _apart(one: F64, other: F64, metres: float, degrees: float) -> float:
+def apart(one: F64, other: F64, metres: float, degrees: float) -> float:
     """Distance of two poses (4, 4), shift and turn together, each in its unit."""
     off = se3.inverse(one) @ other
     shift = float(np.linalg.norm(off[:3, 3])) / metres

@@ -136,8 +136,8 @@ def _viewer(args: argparse.Namespace, bag: Path) -> str:
 
 def _offline(job: session.Job) -> ReportRun:
     plan = session.plan_of(job)
-    print(f'{job.bag}: {plan.count} clouds of {plan.topic}', file=sys.stderr)
-    with bar(plan.count, job.bag.name) as shown:
+    print(f'{job.bag}: {plan.clouds} clouds of {plan.topic}', file=sys.stderr)
+    with bar(plan.clouds, job.bag.name) as shown:
         return _one(job, lambda _: shown.update())
 
 

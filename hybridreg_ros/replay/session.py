@@ -141,7 +141,7 @@ class Plan(NamedTuple):
     """Topic of the clouds of a log, how many of them will be taken, and what was chosen."""
 
     topic: str
-    count: int
+    clouds: int
     note: str
 
 
@@ -223,8 +223,10 @@ def replay(
         stack.enter_context(contextlib.closing(files))
         mapped = [MapSink(job.out, threshold, job.config)] if wanted else []
         shown = [RerunSink(job.rerun, job.bag.stem, threshold)] if job.rerun else []
-        for sink in (*mapped, *shown):
+        for sink in mapped:
             stack.enter_context(contextlib.closing(sink))
+        for view in shown:
+            stack.enter_context(contextlib.closing(view))
         stop = stack.enter_context(StopRequest())
         every = bag.frames(topic, job.time_unit, job.time_field)
         frames = between(every, job.start_s, job.duration_s)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import re
@@ -120,8 +121,6 @@ def test_unwritable_output_is_one_line(capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_parser_knows_every_body() -> None:
-    import importlib.util
-
     parser = build_parser()
     choices = next(a.choices for a in parser._actions if isinstance(a.choices, dict))
     assert set(choices) == set(COMMANDS)
@@ -143,7 +142,7 @@ def test_missing_packages_are_found_before_the_work(
 ) -> None:
     from hybridreg_ros.core import errors
 
-    there = errors.find_spec
+    there = importlib.util.find_spec
     bag, out = str(tmp_path / 'gone.mcap'), str(tmp_path / 'o')
     for package, command in {
         'plotly': ['replay', bag],

@@ -74,7 +74,7 @@ def check(job: session.Job) -> str:
         plan = session.plan_of(job)
     except (HybridRegError, OSError) as error:
         return ' '.join(str(error).split())
-    return '' if plan.count else f'{job.bag} holds no cloud on {plan.topic}'
+    return '' if plan.clouds else f'{job.bag} holds no cloud on {plan.topic}'
 
 
 def run(args: argparse.Namespace, jobs: Sequence[session.Job], work: Work) -> int:

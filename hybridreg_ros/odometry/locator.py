@@ -250,7 +250,8 @@ class Locator:
         """
         pose = found.fit.T_odom_sensor
         off = candidates.apart(expected.pose, pose, self._voxel_m, 1.0)
-        if off < 1.0 or (expected.is_proven and not self._is_far(pose)):
+        likely = expected.is_proven and np.abs(expected.off(pose)).max() <= _FAR
+        if off < 1.0 or likely:
             return found
         nearer = tried(self._near(cloud, expected.pose, trust, found), check)
         if nearer is None or nearer.rank <= found.rank:

@@ -127,6 +127,8 @@ class RangeImage:
         _draw(some, *_geometry(view), near, far)
         # A point counts as off a surface only when it is off in the 3x3 pixels around it, so that
         # slanted surfaces and edges do not look like things that moved.
+        filled = np.flatnonzero((far > 0.0).any(axis=1))
+        self._rows = (int(filled[0]), int(filled[-1])) if len(filled) else (0, -1)
         self._near, self._far = _widen(near, far, view.wraps)
         self._inside = _inside(far > 0.0, view.wraps)
 
@@ -193,8 +195,8 @@ class RangeImage:
             age_s: seconds between the scans.
 
         Returns:
-            margin: (N,) standard deviations before (+) or behind (-) the surface; 0 on it, NaN in
-                directions not seen.
+            margin: (N,) standard deviations before (+) or behind (-) the surface; 0 on it,
+                infinite where nothing came back, NaN in directions not seen.
             speed: (N,) m/s from the surface that hid the point to the point, where the later scan
                 sees through that surface; else -1.
         """
@@ -206,7 +208,7 @@ class RangeImage:
             T[:3, :3].T.copy(),
             T[:3, 3].copy(),
             *_geometry(self.view),
-            (self._near, self._far, self._inside),
+            (self._near, self._far, self._inside, self._rows),
             (now._near, now._far),
             noise,
             age_s,
@@ -341,7 +343,7 @@ def _look(  # type: ignore[no-untyped-def]
     points, R, t, basis, azimuth, elevation, step, wraps, then, now, noise, age_s, margin, speed
 ):
     """The kernel of `RangeImage.look`; points in the sensor frame of the image, R its rotation."""
-    near, far, inside = then
+    near, far, inside, (lowest, highest) = then
     height, width = near.shape
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -349,10 +351,14 @@ def _look(  # type: ignore[no-untyped-def]
         r, column, row = _pixel_of(x, y, z, basis, azimuth, elevation, step)
         if wraps:
             column %= width
-        if column < 0 or row < 0 or column >= width or row >= height or not inside[row, column]:
+        if column < 0 or row < 0 or column >= width or row >= height:
             continue
         low, high = near[row, column], far[row, column]
         if high == 0.0:
+            if row >= lowest and row <= highest:
+                margin[i] = np.inf
+            continue
+        if not inside[row, column]:
             continue
         sigma = noise[0] + noise[1] * r + noise[2] * r * r
         margin[i] = max(low - r, 0.0) / sigma - max(r - high, 0.0) / sigma

@@ -5,6 +5,7 @@
     python scripts/moving_report.py                      # everything
     python scripts/moving_report.py --only people demo   # some groups
     python scripts/moving_report.py --no-dufomap --json out/moving.json
+    python scripts/moving_report.py --only recorded --pictures docs/results
 
 All methods get the poses of the front end. Points from 1 to 50 m count (people: 5 to 25 m, and
 only they), and the first scan does not. DUFOMap (pip install dufomap) sees the whole recording
@@ -250,10 +251,47 @@ def sources(data: Path, only: list[str]) -> Iterator[tuple[str, str, list[Shown]
 GROUPS = ('recorded', 'people', 'simulated', 'still', 'demo')
 
 
-def measured(group: str, name: str, shown: list[Shown], with_dufomap: bool) -> list[Row]:
+COLOURS = {'right': '#0072b2', 'missed': '#e69f00', 'false': '#000000'}
+
+
+def picture(path: Path, name: str, shown: list[Shown], answer: Answer) -> None:
+    """A frame as the sensor sees it: the one of the last two thirds in which most moves."""
+    from matplotlib.figure import Figure
+
+    late = range(len(shown) // 3, len(shown))
+    k = max(late, key=lambda i: int((shown[i].moves & shown[i].counts).sum()))
+    points, counts, moves = shown[k].scan.points, shown[k].counts, shown[k].moves
+    called = answer.masks[k]
+    azimuth = np.rad2deg(np.arctan2(points[:, 1], points[:, 0]))
+    elevation = np.rad2deg(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
+    figure = Figure(figsize=(11.0, 2.6), layout='constrained')
+    axes = figure.add_subplot()
+    r = np.linalg.norm(points, axis=1)
+    near_last = np.argsort(-r)
+    grey = np.clip(0.55 + 0.4 * np.log(np.maximum(r, 1.0)) / np.log(50.0), 0.0, 0.95)
+    axes.scatter(azimuth[near_last], elevation[near_last], 0.4, grey[near_last], cmap='gray',
+                 vmin=0.0, vmax=1.0, linewidths=0)  # fmt: skip
+    parts = {'right': called & moves, 'missed': ~called & moves, 'false': called & ~moves}
+    for word, rows in parts.items():
+        some = rows & counts
+        label = f'{word}: {int(some.sum())}'
+        axes.scatter(azimuth[some], elevation[some], 1.6, COLOURS[word], linewidths=0, label=label)
+    axes.set(xlim=(180, -180), xlabel='azimuth, degrees', ylabel='elevation, degrees')
+    low, high = np.percentile(elevation, [0.2, 99.8])
+    axes.set(ylim=(low - 1.0, high + 1.0), title=f'{name}, scan {k}')
+    axes.legend(loc='lower left', markerscale=5, fontsize=8, ncols=3)
+    path.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path / f'moving_{name}.png', dpi=100)
+
+
+def measured(
+    group: str, name: str, shown: list[Shown], with_dufomap: bool, pictures: Path | None = None
+) -> list[Row]:
     """One row a method."""
     scans = [frame.scan for frame in shown]
     mine, poses = ours(scans)
+    if pictures is not None:
+        picture(pictures, name, shown, mine)
     answers = {'ours': mine, 'two scans': two_scans(scans, poses)}
     if with_dufomap:
         answers['dufomap'] = dufomap(scans, poses)
@@ -324,13 +362,14 @@ def main() -> None:
     parser.add_argument('--only', nargs='+', choices=GROUPS, default=list(GROUPS))
     parser.add_argument('--no-dufomap', action='store_true')
     parser.add_argument('--json', type=Path, help='also write the counts here')
+    parser.add_argument('--pictures', type=Path, help='also draw a frame of each, for lidars')
     args = parser.parse_args()
     import torch
 
     torch.set_num_threads(1)
     rows: list[Row] = []
     for group, name, shown in sources(args.data, args.only):
-        rows += measured(group, name, shown, not args.no_dufomap)
+        rows += measured(group, name, shown, not args.no_dufomap, args.pictures)
         print(*(' '.join(line(r)) for r in rows if r['name'] == name), sep='\n', flush=True)
     print(table(rows))
     if args.json:

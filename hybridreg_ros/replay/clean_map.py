@@ -12,6 +12,7 @@ import numpy as np
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.odometry.config import OdometryConfig
+from hybridreg_ros.odometry.dynamics.cells import Cells, Grid
 from hybridreg_ros.odometry.map.thinning import first_per_voxel, occupied
 from hybridreg_ros.odometry.preprocess import SensorModel, recognise_sensor
 from hybridreg_ros.odometry.result import Source
@@ -52,7 +53,8 @@ class MapReport:
         scans: scans that the map is made of.
         points: points of these scans.
         moving: of them, called moving by the odometry.
-        ghosts: further points, taken out since other scans saw through their place.
+        ghosts: further points, taken out since other scans saw through their place, or that of
+            the thing that they belong to.
         written: points of the map.
         static_accuracy: share of the points that stand still that is kept; None without labels.
         dynamic_accuracy: share of the moving points that is taken out.
@@ -153,9 +155,9 @@ class MapSink:
             placed = se3.apply(pose, points)
             _, _, keys, _, _, cell = occupied(placed, size_m, np.ones(len(placed), np.bool_))
             ghost = np.isin(keys, ghosts)[cell] & (cell >= 0) if len(keys) else moving
-            out = moving | ghost
+            out = self._wholly(points, moving | ghost)
             moving_points += int(moving.sum())
-            ghost_points += int((ghost & ~moving).sum())
+            ghost_points += int((out & ~moving).sum())
             for truth in (STILL, MOVING):
                 tally[truth] += np.bincount(out[labels == truth], minlength=2)
             still.append(placed[~out])
@@ -167,6 +169,20 @@ class MapSink:
             len(self._sizes), sum(self._sizes), moving_points, ghost_points, len(still[0]), *scores
         )
         return CleanMap(still[0], moved[0], made)
+
+    def _wholly(self, points: NDArray[np.float32], out: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """What is taken out of a scan (N,), and all of the things that it is a third of."""
+        assert self._sensor is not None
+        assert self._view is not None
+        grid = Grid.of(self._sensor.voxel_size_m, self._view.step_rad)
+        cells = Cells.of(points, np.ones(len(points), np.int32), np.eye(4), grid)
+        part, count = cells.parts()
+        inside = np.flatnonzero(cells.of_point >= 0)
+        of_point = part[cells.of_point[inside]]
+        gone = np.bincount(of_point, out[inside], count)
+        out = out.copy()
+        out[inside] |= (3.0 * gone > np.bincount(of_point, minlength=count))[of_point]
+        return out
 
     def _ghost_cells(self) -> NDArray[np.int64]:
         """Keys of the cells of odom that were seen through."""

@@ -56,7 +56,11 @@ def test_what_came_has_been_seen_free_and_what_stays_has_not() -> None:
     cells = Cells.of(with_thing, np.ones(len(with_thing), np.int32), np.eye(4), Grid(0.1, 0.002))
     looks = past.looks(300_000_000)
     assert [round(age, 3) for age, _ in looks] == [0.1, 0.2, 0.3]
-    evidence = evidence_of(cells, looks, RangeImage(with_thing, view, np.eye(4)), 'depth')
+    now, static = (
+        RangeImage(with_thing, view, np.eye(4)),
+        np.full(len(with_thing), 0.1, np.float32),
+    )
+    evidence = evidence_of(cells, looks, now, 'depth', static)
     assert evidence.shape == (len(cells), COLUMNS)
     assert np.isfinite(evidence).all()
     thing = np.linalg.norm(cells.centre[:, 1:] / [0.3, 0.6], axis=1) < 1.0
@@ -64,6 +68,33 @@ def test_what_came_has_been_seen_free_and_what_stays_has_not() -> None:
     inside = (np.abs(cells.centre[:, 1]) > 1.0) & (np.abs(cells.centre[:, 1]) < 3.0)
     assert (evidence[thing, 3] == 3 / LOOKS).all()
     assert (evidence[inside, 3] == 0.0).all()
+    assert evidence[:, 26] == pytest.approx(np.log(9.0))
+    assert (evidence[:, 27] == 1.0).all()
+    unasked = evidence_of(cells, looks, now, 'depth', None)
+    assert (unasked[:, :26] == evidence[:, :26]).all()
+    assert not unasked[:, 26:].any()
+
+
+def test_where_nothing_came_back_is_neither_free_nor_unseen() -> None:
+    """A window in the wall: a thing before it stands where a look had no return."""
+    whole = wall(4.0)
+    holed = whole[(np.abs(whole[:, 1:]) > 0.8).any(axis=1)]
+    view = view_of(whole, 'depth')
+    past = Past()
+    past.keep(Look(0, RangeImage(holed, view, np.eye(4)), whole))
+    now = RangeImage(seen(holed, wall(2.0, 0.2)), view, np.eye(4))
+    places = np.array([[2.0, 0.0, 0.0], [2.0, 1.0, 0.0], [2.0, 0.0, 50.0]])
+    margin = past.looks(1)[0][1].look(places, np.eye(4), now, NOISE, 0.1)[0]
+    assert np.isposinf(margin[0])
+    assert margin[1] > 2.0
+    assert np.isnan(margin[2])
+    cells = Cells.of(
+        places[:2].astype(np.float32), np.ones(2, np.int32), np.eye(4), Grid(0.1, 0.002)
+    )
+    evidence = evidence_of(cells, past.looks(100_000_000), now, 'depth', None)
+    assert evidence[:, 25].tolist() == [1.0, 0.0]
+    assert evidence[:, 0].tolist() == [0.0, 1 / LOOKS]
+    assert len(past.vanished(RangeImage(holed, view, np.eye(4)), 'depth')) == 0
 
 
 def test_the_past_is_kept_closely_when_it_is_recent_and_sparsely_when_it_is_old() -> None:

@@ -113,7 +113,7 @@ def recorded_street(seed: int, count: int = PAIRS_A_SCENE) -> list[Sample]:
     return recorded_samples(rng, KIND, seed, shots, caster.scene.movers, count)
 
 
-def recorded_frames(seed: int, times: F64) -> Iterator[SimulatedFrame]:
+def recorded_frames(seed: int, times: F64, *, motorway: bool = False) -> Iterator[SimulatedFrame]:
     """Scans of one random street in a row: few movers, some metres away.
 
     Every other seed undoes the motion during each scan and leaves its times out, as recordings
@@ -122,8 +122,9 @@ def recorded_frames(seed: int, times: F64) -> Iterator[SimulatedFrame]:
     Args:
         seed: of everything.
         times: (N,) stamps, seconds from the start.
+        motorway: a road on which the sensor travels fast.
     """
-    rng, world, rig, units = _scene(seed, float(times[-1]))
+    rng, world, rig, units = _scene(seed, float(times[-1]), motorway=motorway)
     caster = _peopled(rng, Caster(world.scene), rig, units, times)
     for time_s in times.tolist():
         lidar = rig.lidar
@@ -144,23 +145,25 @@ def recorded_frames(seed: int, times: F64) -> Iterator[SimulatedFrame]:
 
 
 def _scene(
-    seed: int, longest_s: float = 0.0
+    seed: int, longest_s: float = 0.0, *, motorway: bool = False
 ) -> tuple[np.random.Generator, StreetWorld, _Rig, list[Unit]]:
     """A street, a lidar on its way for so long, and who could be about."""
     rng = np.random.default_rng([seed, 5])
-    kind = str(rng.choice(list(_PLACES), p=list(_PLACES.values())))
+    kind = 'road' if motorway else str(rng.choice(list(_PLACES), p=list(_PLACES.values())))
     travel_m = max(REACH_M + 5.0, _TOP_SPEED_MPS * longest_s)
     world = make_street(
         rng, kind, (0.0, 0.0), travel_m=travel_m, margin_m=float(rng.uniform(45.0, 80.0))
     )
-    path = replace(world.path, ride=_ride(rng, world))
+    path = replace(world.path, ride=_ride(rng, world, motorway=motorway))
     rig = _Rig(_lidar(rng), path, _mount(rng))
     return rng, world, rig, passers(rng, world.layout, path.ride)
 
 
-def _ride(rng: np.random.Generator, world: StreetWorld) -> Ride:
+def _ride(rng: np.random.Generator, world: StreetWorld, *, motorway: bool) -> Ride:
     """The ride of a street at speeds as recorded: standing, walking, driving, on a fast road."""
     ride = world.path.ride
+    if motorway:
+        return replace(ride, speed_mps=float(rng.uniform(14.0, _TOP_SPEED_MPS)))
     if rng.random() < 0.15:
         return replace(ride, speed_mps=0.0)
     if world.kind != 'road' and (world.kind != 'street' or abs(ride.offset_m) >= 4.0):

@@ -134,16 +134,8 @@ class Cells:
     def _divided(
         self, member: NDArray[np.bool_], *, by_surface: bool
     ) -> tuple[NDArray[np.int32], int]:
-        part, count = segments.divide(
-            self.start,
-            self.other,
-            member,
-            self.centre,
-            self.normal,
-            self.flat,
-            self.size_m,
-            by_surface,
-        )
+        surface = self.centre, self.normal, self.flat, self.size_m
+        part, count = segments.divide(self.start, self.other, member, *surface, by_surface)
         return part, int(count)
 
     def at(

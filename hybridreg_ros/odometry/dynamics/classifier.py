@@ -100,29 +100,22 @@ class Dynamics:
         """
         if not self._config.enabled or len(cloud.means) == 0:
             return np.zeros(len(cloud.points), np.float32)
-        cells, evidence = self._observed(cloud, T_odom_sensor, image, stamp)
+        grid = Grid.of(self._voxel_m, image.view.step_rad)
+        cells = Cells.of(cloud.means, cloud.counts, T_odom_sensor, grid)
         before = np.zeros((len(cells), 3), np.float32)
         if self._last is not None:
             before = self._last.cells.at(cells.centre, T_odom_sensor, self._last.memory)
         odds = np.full(len(cells), FIRST, np.float32)
         moving = np.zeros(len(cells), np.float32)
-        if evidence is not None:
+        if looks := self._past.looks(stamp):
+            evidence = evidence_of(cells, looks, image, self._kind, static)
             odds = self._models.alone(evidence)
             context = context_of(cells, evidence, odds, before, self._kind)
-            final = fused(self._models.in_context(context), cells, static, self._kind)
+            final = self._models.in_context(context)
             moving = (1.0 / (1.0 + np.exp(-final))).astype(np.float32)
         self._last = _Last(cells, remembered(before, odds), moving[:, None])
         of_cube = np.where(cells.of_point >= 0, moving[cells.of_point], np.float32(0.0))
         return np.where(cloud.cube >= 0, of_cube[cloud.cube], np.float32(0.0))
-
-    def _observed(
-        self, cloud: PreprocessedScan, T_odom_sensor: F64, image: RangeImage, stamp: int
-    ) -> tuple[Cells, F32 | None]:
-        """The cells of a scan and the evidence about each; none before anything was seen."""
-        grid = Grid.of(self._voxel_m, image.view.step_rad)
-        cells = Cells.of(cloud.means, cloud.counts, T_odom_sensor, grid)
-        looks = self._past.looks(stamp)
-        return cells, evidence_of(cells, looks, image, self._kind) if looks else None
 
     def remember(self, image: RangeImage, points: F32, stamp: int) -> None:
         """Keep a scan for later tests.
@@ -142,37 +135,6 @@ class Dynamics:
         """Forget everything."""
         self._past.clear()
         self._last = None
-
-
-_FUSION = {'depth': (0.70, 0.46, 0.66), 'lidar': (0.74, 0.42, 0.35)}
-"""Weights of the log odds of the models and of the network, and an offset: logistic fits on
-simulated sequences (docs/lab/2026-11-29-learned-evidence.md)."""
-
-
-def fused(odds: F32, cells: Cells, static: F32 | None, kind: str) -> F32:
-    """Log odds (M,) of motion of cells, the network's opinion included.
-
-    Args:
-        odds: (M,) by the models alone.
-        cells: the cells.
-        static: (N,) P(static) of the points they hold by the network; None = not asked.
-        kind: depth or lidar.
-    """
-    if static is None:
-        return odds
-    own, network, offset = _FUSION[kind]
-    both = own * odds + network * said(cells, static) + offset
-    return both.astype(np.float32)
-
-
-def said(cells: Cells, static: F32) -> F32:
-    """Mean log odds (M,) of motion over the points of each cell, by P(static) of the points."""
-    sure = np.clip(static, 0.002, 0.998)
-    inside = cells.of_point >= 0
-    odds = np.log((1.0 - sure) / sure)[inside]
-    total = np.bincount(cells.of_point[inside], odds, len(cells))
-    count = np.bincount(cells.of_point[inside], minlength=len(cells))
-    return (total / np.maximum(count, 1)).astype(np.float32)
 
 
 def remembered(before: F32, odds: F32) -> F32:

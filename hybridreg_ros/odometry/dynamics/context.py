@@ -17,9 +17,10 @@ if TYPE_CHECKING:
 
     F32 = NDArray[np.float32]
 
-_OWN = [0, 1, 4, 6, 8, 11, 12, 14, 15, 17, 19, 21, 22, 23]
+_OWN = [0, 1, 4, 6, 8, 11, 12, 14, 15, 17, 19, 21, 22, 23, 25, 26, 27]
 """Columns of the evidence about the cell itself that are passed on."""
-_PART = 14
+_PART = 16
+_SUMS = 10
 COLUMNS = 6 + len(_OWN) + _PART
 
 
@@ -49,10 +50,10 @@ def context_of(cells: Cells, evidence: F32, odds: F32, before: F32, kind: str) -
     axes = 3 if kind == 'depth' else 2
     size[:, :axes] = np.sort(size[:, :axes], axis=1)
     of_part = np.empty((count, _PART), np.float32)
-    of_part[:, :8], of_part[:, 8] = sums, top
-    of_part[:, 9] = np.log(number)
-    of_part[:, 10:13] = np.log(size + 0.05)
-    of_part[:, 13] = np.log(points) if kind == 'lidar' else 0.0
+    of_part[:, :_SUMS], of_part[:, _SUMS] = sums, top
+    of_part[:, -5] = np.log(number)
+    of_part[:, -4:-1] = np.log(size + 0.05)
+    of_part[:, -1] = np.log(points) if kind == 'lidar' else 0.0
     before = before.copy()
     before[:, 1] = np.log1p(before[:, 1])
     own = np.column_stack([odds, mean, peak, evidence[:, _OWN], before])
@@ -78,12 +79,13 @@ def _pool(part, count, weight, odds, evidence, centre):  # type: ignore[no-untyp
     """What the cells of each part say together, each weighted by its points.
 
     Returns:
-        (P, 8) means of: log odds; their probability; whether an earlier scan looked at the place;
-        probability where one did; looks that saw a surface; that saw it free; share of looks whose
-        hiding thing has gone; its speed. Then (P,) number of cells, of points,
-        and largest log odds, and (P, 3) lower and upper ends, metres.
+        (P, _SUMS) means of: log odds; their probability; whether an earlier scan looked at the
+        place; probability where one did; looks that saw a surface; that saw it free; share of
+        looks whose hiding thing has gone; its speed; share of looks to which nothing came back;
+        log odds by the network. Then (P,) number of cells, of points, and largest log odds, and
+        (P, 3) lower and upper ends, metres.
     """
-    sums = np.zeros((count, 8))
+    sums = np.zeros((count, _SUMS))
     number, points = np.zeros(count), np.zeros(count)
     known, gone = np.full(count, 1e-6), np.full(count, 1e-9)
     top = np.full(count, -np.inf)
@@ -100,6 +102,8 @@ def _pool(part, count, weight, odds, evidence, centre):  # type: ignore[no-untyp
         sums[p, 5] += w * evidence[cell, 3]
         sums[p, 6] += w * evidence[cell, 11] * evidence[cell, 5]
         sums[p, 7] += w * evidence[cell, 11] * evidence[cell, 12]
+        sums[p, 8] += w * evidence[cell, 25]
+        sums[p, 9] += w * evidence[cell, 26]
         known[p] += w * looked
         gone[p] += w * evidence[cell, 11]
         number[p] += 1.0
@@ -109,6 +113,6 @@ def _pool(part, count, weight, odds, evidence, centre):  # type: ignore[no-untyp
             low[p, axis] = min(low[p, axis], centre[cell, axis])
             high[p, axis] = max(high[p, axis], centre[cell, axis])
     for p in range(count):
-        for k in range(8):
+        for k in range(_SUMS):
             sums[p, k] /= known[p] if k == 3 else gone[p] if k == 7 else points[p]
     return sums, number, points, top, low, high

@@ -28,7 +28,7 @@ NOISE = {'lidar': (0.04, 0.004, 0.0), 'depth': (0.006, 0.003, 0.0012)}
 range, and share of its square per metre."""
 CLEAR, _SURE = 2.0, 6.0
 """Standard deviations off a surface at which a point is off it, and clearly so."""
-COLUMNS = 25
+COLUMNS = 28
 
 
 class Look(NamedTuple):
@@ -74,7 +74,7 @@ class Past:
         for past in (*self._kept[:1], *self._kept[1:][-1:]):
             places = past.points.astype(np.float64)
             margin, _ = image.look(places, np.eye(4), image, NOISE[kind], 1.0)
-            gone.append(past.points[margin > _SURE])
+            gone.append(past.points[np.isfinite(margin) & (margin > _SURE)])
         return np.concatenate(gone)
 
     def clear(self) -> None:
@@ -83,7 +83,11 @@ class Past:
 
 
 def evidence_of(
-    cells: Cells, looks: list[tuple[float, RangeImage]], now: RangeImage, kind: str
+    cells: Cells,
+    looks: list[tuple[float, RangeImage]],
+    now: RangeImage,
+    kind: str,
+    static: F32 | None,
 ) -> F32:
     """Evidence about each cell of a scan.
 
@@ -92,13 +96,16 @@ def evidence_of(
         looks: age, seconds, and image of earlier scans, at least one, newest first.
         now: what the scan itself saw.
         kind: depth or lidar.
+        static: (N,) P(static) by the network of the points that the cells were made of; None =
+            not asked.
 
     Returns:
-        (M, COLUMNS) float32. 0 to 13: `_sum_up`; 14: whether it is a depth camera; 15, 16:
+        (M, COLUMNS) float32. 0 to 13 and 25: `_sum_up`; 14: whether it is a depth camera; 15, 16:
         logarithms of the ages of the oldest and the newest look; 17: number of looks; 18 to 20:
         does the surface face the sensor, is it level, is there one. Of a lidar also 21 to 24:
         logarithms of range and points, height over the sensor, logarithm of the size of the cell.
         Not of a depth camera: in a room they say what a thing is rather than whether it moves.
+        26, 27: log odds of motion by the network, and whether it was asked.
     """
     count, out = len(cells), np.zeros((len(cells), COLUMNS), np.float32)
     margin, speed = np.empty((2, count, len(looks)), np.float32)
@@ -118,7 +125,18 @@ def evidence_of(
         out[:, 21], out[:, 22] = np.log(ranges), np.log(cells.counts)
         out[:, 23] = np.clip(cells.centre[:, 2] / 3.0, -3.0, 3.0)
         out[:, 24] = np.log(cells.size_m / (0.02 * ranges + 0.02))
+    if static is not None:
+        out[:, 26], out[:, 27] = _said(cells, static), 1.0
     return out
+
+
+def _said(cells: Cells, static: F32) -> NDArray[np.float64]:
+    """Mean log odds (M,) of motion over the points (N,) of each cell, by their P(static)."""
+    sure = np.clip(static, 0.002, 0.998)
+    inside = cells.of_point >= 0
+    odds = np.log((1.0 - sure) / sure)[inside]
+    total = np.bincount(cells.of_point[inside], odds, len(cells))
+    return total / np.maximum(np.bincount(cells.of_point[inside], minlength=len(cells)), 1)
 
 
 @compiled
@@ -133,23 +151,24 @@ def _sum_up(margin, speed, out):  # type: ignore[no-untyped-def]
 
     Args:
         margin: (M, K) float32 standard deviations before (+) or behind (-) what was seen; 0 on
-            it, NaN unseen; newest look first.
+            it, NaN unseen, infinite where nothing came back; newest look first.
         speed: (M, K) float32 m/s at which what hid the cell would have moved to it, -1 where it
             is still there.
-        out: (M, 14 or more) float32. 0: looks in whose view it is; 1, 2: share of the looks at
+        out: (M, 26 or more) float32. 0: looks in whose view it is; 1, 2: share of the looks at
             the place that saw it free, or clearly so; 3, 4: number that saw it free, or a surface;
             5: share that something hid it from; 6, 7: largest and smallest margin of the looks at
             the place; 8, 9, 10: margin of the newest, the second and the oldest look; 11: share of
             the hidden looks of which the hiding thing has gone; 12, 13: its speed, and the scatter
-            of that.
+            of that; 25: share of the looks to which nothing came back from there.
     """
     cells, looks = margin.shape
     for row in range(cells):
-        free, clear, on, behind, gone, seen = 0, 0, 0, 0, 0, 0
+        free, clear, on, behind, gone, seen, empty = 0, 0, 0, 0, 0, 0, 0
         most, least, total, squared = 0.0, 99.0, 0.0, 0.0
         for k in range(looks):
             m = margin[row, k]
-            if np.isnan(m):
+            if not np.isfinite(m):
+                empty += m > 0.0
                 continue
             if seen < 2:
                 out[row, 8 + seen] = _bent(m)
@@ -178,3 +197,4 @@ def _sum_up(margin, speed, out):  # type: ignore[no-untyped-def]
         out[row, 11], out[row, 12] = gone / max(1, behind), _bent(mean)
         scatter = np.sqrt(max(0.0, squared / max(1, gone) - mean * mean)) / (mean + 0.3)
         out[row, 13] = scatter if gone > 1 else 1.0
+        out[row, 25] = empty / looks

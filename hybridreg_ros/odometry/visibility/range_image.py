@@ -133,6 +133,8 @@ class RangeImage:
         _draw(ranges, shown, near.ravel(), far.ravel())
         # A point counts as off a surface only when it is off in the 3x3 pixels around it, so that
         # slanted surfaces and edges do not look like things that moved.
+        filled = np.flatnonzero((far > 0.0).any(axis=1))
+        self._rows = (int(filled[0]), int(filled[-1])) if len(filled) else (0, -1)
         self._near, self._far = _widen(near, far, self.view.wraps)
         self._inside = _inside(far > 0.0, self.view.wraps)
 
@@ -202,8 +204,8 @@ class RangeImage:
             age_s: seconds between the scans.
 
         Returns:
-            margin: (N,) standard deviations before (+) or behind (-) the surface; 0 on it, NaN in
-                directions not seen.
+            margin: (N,) standard deviations before (+) or behind (-) the surface; 0 on it,
+                infinite where nothing came back, NaN in directions not seen.
             speed: (N,) m/s from the surface that hid the point to the point, where the later scan
                 sees through that surface; else -1.
         """
@@ -212,7 +214,9 @@ class RangeImage:
         speed = np.full(len(points), -1.0, np.float32)
         ranges, pixels = _seen(points, self.view, T)
         near, far = self._near.ravel(), self._far.ravel()
-        _margins(ranges, pixels, (near, far, self._inside.ravel()), noise, margin)
+        lowest, highest = (edge * self.view.width for edge in (self._rows[0], self._rows[1] + 1))
+        images = near, far, self._inside.ravel()
+        _margins(ranges, pixels, images, (lowest, highest), noise, margin)
         hidden = np.flatnonzero(margin < -_HIDDEN)
         if len(hidden):
             before = far[pixels[hidden]]
@@ -345,11 +349,16 @@ def _stand(ranges, pixels, images, slack, share, out):  # type: ignore[no-untype
 
 
 @compiled
-def _margins(ranges, pixels, images, noise, margin):  # type: ignore[no-untyped-def]
+def _margins(ranges, pixels, images, within, noise, margin):  # type: ignore[no-untyped-def]
     near, far, inside = images
     for i in range(len(pixels)):
         pixel, r = pixels[i], ranges[i]
         margin[i] = np.nan
-        if pixel >= 0 and inside[pixel] and far[pixel] > 0.0:
+        if pixel < 0:
+            continue
+        if far[pixel] == 0.0:
+            if within[0] <= pixel < within[1]:
+                margin[i] = np.inf
+        elif inside[pixel]:
             sigma = noise[0] + noise[1] * r + noise[2] * r * r
             margin[i] = (max(near[pixel] - r, 0.0) - max(r - far[pixel], 0.0)) / sigma

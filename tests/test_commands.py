@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -19,6 +20,7 @@ import pytest
 from PIL import Image
 from tiny_bags import room_points, write_room_bag
 
+from hybridreg_ros.cli.arguments import build_parser
 from hybridreg_ros.core.config import load_yaml
 from hybridreg_ros.data.hybridmatch.shards import encode_pair, write_shard
 from hybridreg_ros.data.loaders.clouds import write_cloud
@@ -41,6 +43,7 @@ ELSEWHERE = {
     '. ': 'scripts/setup.sh',
     'pip install': 'scripts/setup.sh',
     'python -m colcon': 'tests/ros/test_colcon.py',
+    'hybridreg ship': 'needs right and wrong results; tests/cli/test_cli_ship.py',
     'ros2 ': 'needs an installed ROS 2: .ci/jazzy, tests/ros/test_launch_files.py',
     'bag_player room.mcap --lossless & hybridreg echo': 'stays; tests/ros/test_first_run.py',
 }
@@ -105,6 +108,17 @@ def test_what_stands_for_a_command_exists() -> None:
         assert any(c.startswith(start) for c in said), f'{start} is in no page any more'
     for pattern, _ in SMALLER:
         assert any(re.search(pattern, c) for c in said), f'{pattern} fits no command any more'
+
+
+def test_commands_are_understood() -> None:
+    """Also those that are not run, and what they are replaced by."""
+    parser, count = build_parser(), 0
+    for command in [c for page in PAGES for c in commands_of(page)]:
+        for text in (command, smaller(command)):
+            for arguments in re.findall(r'(?:^|& |\n\s+)hybridreg (.*)', text):
+                parser.parse_args(shlex.split(arguments))
+                count += 1
+    assert count > 80
 
 
 def smaller(command: str) -> str:

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from hybridreg_ros.replay.runner import FrameLog
 
 EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
+PASSED = ('weights', 'topic', 'truth_topic', 'time_unit', 'time_field', 'stride', 'max_frames')
+"""Arguments that a job has by the same names."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -68,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     if args.resume and fleet.earlier(jobs[0]) is not None:
         print(f'{jobs[0].out}: kept, it is finished')
         return 0
-    return _report(args, jobs[0], work(jobs[0]))
+    return tell(args, jobs[0], work(jobs[0]))
 
 
 def _jobs(args: argparse.Namespace) -> list[session.Job]:
@@ -81,14 +83,7 @@ def _jobs(args: argparse.Namespace) -> list[session.Job]:
             bag=bag,
             out=_folder(args, bag),
             config=config,
-            weights=args.weights,
-            topic=args.topic,
-            truth_topic=args.truth_topic,
             extrinsic=args.extrinsic and tuple(args.extrinsic),
-            time_unit=args.time_unit,
-            time_field=args.time_field,
-            stride=args.stride,
-            max_frames=args.max_frames,
             start_s=args.start,
             duration_s=args.duration,
             clouds=not args.no_clouds,
@@ -97,6 +92,7 @@ def _jobs(args: argparse.Namespace) -> list[session.Job]:
             moving=_own(args, args.moving, bag),
             video=_own(args, args.video, bag, ('.gif', '.webp', '.mp4')),
             rerun=_viewer(args, bag),
+            **{name: getattr(args, name) for name in PASSED},
         )
         for bag in args.bags
     ]
@@ -152,7 +148,7 @@ def beside(job: session.Job) -> session.Beside | None:
     return session.Beside('kiss-icp alone', KissIcpAlone())
 
 
-def _report(args: argparse.Namespace, job: session.Job, done: ReportRun) -> int:
+def tell(args: argparse.Namespace, job: session.Job, done: ReportRun) -> int:
     """Print one run as a table; the exit code says whether it is complete."""
     runs = (done, *done.beside)
     log, code = done.log, 0
@@ -173,7 +169,7 @@ def _report(args: argparse.Namespace, job: session.Job, done: ReportRun) -> int:
     print(tables.text_table(tables.score_rows([(r.name, r.log, r.scores) for r in runs])))
     if log.drops:
         print(f'{len(log.drops)} clouds were not used; metrics.json and report.html say why')
-    print(f'written: odometry.tum metrics.json report.html dynamic.mcap in {job.out}')
+    print(f'written: report.html metrics.json odometry.tum dynamic.mcap in {job.out}')
     write_result(args, done.metrics)
     return code
 

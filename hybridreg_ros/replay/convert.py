@@ -18,7 +18,8 @@ from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.data.loaders.clouds import read_cloud
 from hybridreg_ros.data.loaders.columns import read_bin
 from hybridreg_ros.data.loaders.depth_images import organised_points, read_depth_m, read_intrinsics
-from hybridreg_ros.data.loaders.posed_frames import rigid
+from hybridreg_ros.data.loaders.kitti import calibration
+from hybridreg_ros.data.loaders.posed_frames import read_numbers, rigid
 from hybridreg_ros.data.loaders.tum import CAMERAS, UNITS_PER_M, USUAL_CAMERA
 from hybridreg_ros.replay import trajectory_io
 from hybridreg_ros.replay.recording import EPOCH_S, RecordedFrame
@@ -184,35 +185,9 @@ def _kitti_poses(folder: Path, given: Path | None) -> NDArray[np.float64] | None
     if path is None:
         return None
     poses = trajectory_io.read_kitti_rows(path)
-    calibration = folder / 'calib.txt'
-    if not calibration.exists():
-        return poses
-    T_camera_lidar = _tr_of(calibration)
+    T_camera_lidar = calibration(folder)
     lidar: NDArray[np.float64] = se3.inverse(T_camera_lidar) @ poses @ T_camera_lidar
     return lidar
-
-
-def _tr_of(path: Path) -> NDArray[np.float64]:
-    for line in trajectory_io.text_of(path).splitlines():
-        name, _, values = line.partition(':')
-        if name.strip() in ('Tr', 'Tr_velo_to_cam', 'Tr_velo_cam'):
-            return _rigid_of(values, 12, f'{path} {name.strip()}')
-    raise FileFormatError(f'{path}: expected a row "Tr:" with 12 numbers')
-
-
-def _rigid_of(text: str, count: int, what: str) -> NDArray[np.float64]:
-    """Transform (4, 4) of 12 or 16 numbers.
-
-    Raises:
-        FileFormatError: they are others, or no rigid transform; `what` names them.
-    """
-    try:
-        numbers = [float(v) for v in text.split()]
-    except ValueError as error:
-        raise FileFormatError(f'{what}: {error}') from None
-    if len(numbers) != count:
-        raise FileFormatError(f'{what}: expected {count} numbers, found {len(numbers)}')
-    return rigid(np.array(numbers), what)
 
 
 def _kitti_stamps(folder: Path, count: int, rate_hz: float) -> list[int]:
@@ -277,10 +252,8 @@ def _pose_beside(image: Path) -> NDArray[np.float64] | None:
     path = image.with_name(re.sub(r'[.\-_]?depth[.\-_]?', '', image.stem) + '.pose.txt')
     if not path.exists():
         return None
-    text = trajectory_io.text_of(path)
-    if {'nan', 'inf', '-inf'}.intersection(text.lower().split()):
-        return None
-    return _rigid_of(text, 16, str(path))
+    values = read_numbers(path, 4)
+    return rigid(values, str(path)) if np.isfinite(values).all() else None
 
 
 def _tum(folder: Path, options: ConvertOptions) -> Recording:

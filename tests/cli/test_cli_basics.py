@@ -140,21 +140,22 @@ def test_json_to_standard_output(capsys: pytest.CaptureFixture[str]) -> None:
 def test_missing_packages_are_found_before_the_work(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from hybridreg_ros.core import errors
-
     there = importlib.util.find_spec
     bag, out = str(tmp_path / 'gone.mcap'), str(tmp_path / 'o')
     for package, command in {
         'plotly': ['replay', bag],
         'rerun': ['replay', bag, '--rerun', 'live'],
         'imageio_ffmpeg': ['replay', bag, '--video', 'a.mp4'],
-        'distributed': ['replay', bag, bag, '--workers', '2'],
+        'distributed': ['replay', bag, '--workers', '2'],
         'rclpy': ['demo'],
         'embreex': ['demo'],
         'evo': ['demo'],
         'matplotlib': ['generate', 'room-match-rigid', '--pairs', '1', '--preview'],
     }.items():
-        monkeypatch.setattr(errors, 'find_spec', lambda n, p=package: None if n == p else there(n))
+        monkeypatch.setattr(
+            'hybridreg_ros.core.errors.find_spec',
+            lambda n, p=package: None if n == p else there(n),
+        )
         assert main([*command, '--out', out]) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert re.search(rf"needs .*{package}.*: pip install 'hybridreg_ros\[\w+\]'", line), line

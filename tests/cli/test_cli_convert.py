@@ -118,10 +118,10 @@ def test_broken_kitti_folders(
     assert 'choose one with --poses: poses_a.txt, poses_b.txt' in failure(capsys, arguments)
     chosen = [*arguments, '--poses', str(kitti / 'poses_b.txt')]
     (kitti / 'calib.txt').write_text('P0: 1\n')
-    assert 'expected a row "Tr:" with 12 numbers' in failure(capsys, chosen)
+    assert 'expected a line Tr:, found none' in failure(capsys, chosen)
     for text, message in (
-        ('Tr: 1 0 0 x', 'calib.txt Tr: could not convert'),
-        ('Tr: 1 0 0', 'calib.txt Tr: expected 12 numbers, found 3'),
+        ('Tr: 1 0 0 x', 'calib.txt: Tr holds something other than numbers'),
+        ('Tr: 1 0 0', 'calib.txt Tr: expected a rigid 4x4 transform'),
         ('Tr: 9 0 0 0 0 1 0 0 0 0 1 0', 'calib.txt Tr: expected a rigid 4x4 transform'),
     ):
         (kitti / 'calib.txt').write_text(text)
@@ -243,7 +243,7 @@ def test_broken_depth_folders(
     assert 'expected 16-bit depth, found uint8' in failure(capsys, arguments)
     image.write_bytes(whole)
     (depth / 'frame-000010.pose.txt').write_text('1 2 3')
-    assert 'expected 16 numbers, found 3' in failure(capsys, arguments)
+    assert '10.pose.txt:1: expected 4 numbers, found 3' in failure(capsys, arguments)
     (depth / 'frame-000010.pose.txt').write_text('a')
     assert 'frame-000010.pose.txt' in failure(capsys, arguments)
     intrinsics = depth / 'camera-intrinsics.txt'

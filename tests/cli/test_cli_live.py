@@ -63,12 +63,12 @@ def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / 'demo'
     assert main(['demo', '--out', str(out), '--frames', '8', '--json', str(out / 'd.json')]) == 0
     table = capsys.readouterr().out
-    assert 'hybridreg node (live)' in table
+    assert 'hybridreg' in table
     assert 'kiss-icp alone' in table
     result = json.loads((out / 'd.json').read_text())
-    assert result['live']['transport']['received_odom'] == 8
-    assert result['live']['transport']['received_dynamic'] == 8
-    assert result['live']['mask'] is not None
-    assert result['kiss_icp_alone']['trajectory']['matched'] == 8
+    assert result['transport']['received_odom'] == 8
+    assert result['transport']['received_dynamic'] == 8
+    assert result['mask'] is not None
+    assert result['beside']['kiss-icp alone']['matched'] == 8
     page = (out / 'report.html').read_text('utf-8')
     assert 'kiss-icp alone' in page

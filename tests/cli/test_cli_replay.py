@@ -405,6 +405,7 @@ def test_cut_off_mcap_is_replayed_with_a_warning(
 
 
 def test_bad_bags_give_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_room_bag(tmp_path / 'two.mcap', 1, topics=('/front', '/rear'))
     (tmp_path / 'no.mcap').write_bytes(b'hello')
     write_room_bag(tmp_path / 'cut.db3', 4)
     data = (tmp_path / 'cut.db3').read_bytes()

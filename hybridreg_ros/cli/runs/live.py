@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from hybridreg_ros.metrics.trajectory import Trajectory
     from hybridreg_ros.replay.page.report import ReportRun
 
+OFFLINE = ('stride', 'max_frames', 'start', 'duration', 'time_unit', 'time_field', 'weights')
+OFFLINE += ('no_clouds', 'map', 'moving', 'video', 'rerun')
+"""Options that only an offline replay has."""
+
 
 @dataclass(frozen=True)
 class LiveOptions:
@@ -44,22 +48,9 @@ def check_options(args: argparse.Namespace) -> None:
     Raises:
         ConfigError: names the option.
     """
-    refused = {
-        '--stride': args.stride != 1,
-        '--max-frames': args.max_frames is not None,
-        '--start': args.start != 0.0,
-        '--duration': args.duration is not None,
-        '--time-unit': args.time_unit != 'auto',
-        '--time-field': args.time_field != '',
-        '--weights': args.weights is not None,
-        '--no-clouds': args.no_clouds,
-        '--map': args.map is not None,
-        '--moving': args.moving is not None,
-        '--video': args.video is not None,
-        '--rerun': args.rerun is not None,
-    }
-    for option, used in refused.items():
-        if used:
+    for name in OFFLINE:
+        if getattr(args, name) != args.parser.get_default(name):
+            option = f'--{name.replace("_", "-")}'
             raise ConfigError(f'{option} cannot be combined with --live: leave one of them out')
     check_ros()
 

@@ -50,7 +50,7 @@ class KittiOdometry(FramePairs):
                 f'{folder}: expected one pose for each of {len(self.files)} scans, '
                 f'found {len(rows)}'
             )
-        T_camera_lidar = _calibration(folder)
+        T_camera_lidar = calibration(folder)
         back = se3.inverse(T_camera_lidar)
         poses = [
             back @ rigid(row, f'{folder} pose {k}') @ T_camera_lidar for k, row in enumerate(rows)
@@ -72,14 +72,18 @@ def _poses_file(folder: Path) -> Path:
     return official if official.exists() and not own.exists() else own
 
 
-def _calibration(folder: Path) -> F64:
-    """T_camera_lidar (4, 4) of calib.txt, the identity without one."""
+def calibration(folder: Path) -> F64:
+    """T_camera_lidar (4, 4) of calib.txt in a folder, the identity without one.
+
+    Raises:
+        FileFormatError: it has no row `Tr:` of a rigid transform.
+    """
     path = folder / 'calib.txt'
     if not path.exists():
         return np.eye(4)
     for line in path.read_text(encoding='utf-8').splitlines():
         name, _, rest = line.partition(':')
-        if name.strip() in ('Tr', 'Tr_velo_to_cam'):
+        if name.strip() in ('Tr', 'Tr_velo_to_cam', 'Tr_velo_cam'):
             try:
                 return rigid(np.array([float(w) for w in rest.split()]), f'{path} {name}')
             except ValueError:

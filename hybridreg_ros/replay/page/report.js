@@ -9,7 +9,7 @@
     ep: ['position error', ' mm'], m: ['step', ' ms'], p: ['points', ''], d: ['moving', '']
   };
   var listeners = [], chosen = 0;
-  var SIDE = [-0.85, -0.45, 0.6], CUT_M = 0.5;
+  var SIDE = [-1.0, -0.55, 0.7], CUT_M = 0.5;
 
   function quantile(list, q) { return list[Math.floor(q * (list.length - 1))]; }
 

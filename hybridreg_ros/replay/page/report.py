@@ -202,8 +202,8 @@ def _pictures(run: ReportRun, start: int) -> str:
         if view.truth is not None:
             text += f', {int(view.truth.sum())} truly moving'
         figures.append(
-            f'<figure><img src="data:image/png;base64,{data}" alt="{escape(text)}" '
-            f'loading="lazy"><figcaption>{escape(text)}.</figcaption></figure>'
+            f'<figure><img src="data:image/png;base64,{data}" alt="{escape(text)}">'
+            f'<figcaption>{escape(text)}.</figcaption></figure>'
         )
     labelled = any(v.truth is not None for v in run.views)
     entries = [(pictures.MOVING, 'called moving, and moves' if labelled else 'called moving')]

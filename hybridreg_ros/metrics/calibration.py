@@ -118,17 +118,6 @@ def risk_coverage(confidence: NDArray[np.floating], right: Bools) -> RiskCoverag
     return RiskCoverage(c[order], accepted / max(len(c), 1), risk)
 
 
-def wrong_above(confidence: NDArray[np.floating], right: Bools, gate: float) -> float:
-    """Share of all results that are wrong and yet have a confidence of at least the gate.
-
-    Examples:
-        >>> wrong_above(np.array([0.9, 0.9, 0.1, 0.2]), np.array([True, False, True, False]), 0.5)
-        0.25
-    """
-    c, r = _checked(confidence, right)
-    return float(np.mean((c >= gate) & (r < 0.5))) if len(c) else float('nan')
-
-
 def sigmoid(x: NDArray[np.floating]) -> F64:
     """Logistic function without overflow.
 

@@ -112,32 +112,3 @@ def score(counts: MaskCounts) -> MaskScore:
 
 def _ratio(part: int, whole: int) -> float:
     return part / whole if whole else NAN
-
-
-class MaskAccumulator:
-    """Counts over many frames.
-
-    Examples:
-        >>> accumulator = MaskAccumulator()
-        >>> accumulator.update(np.array([True, False]), np.array([True, True]))
-        >>> accumulator.update(np.array([True]), np.array([True]))
-        >>> accumulator.compute().recall
-        0.6666666666666666
-    """
-
-    def __init__(self) -> None:
-        self.counts = MaskCounts()
-        self.frames = 0
-
-    def update(self, predicted: NDArray[Any], truth: NDArray[Any]) -> None:
-        """Add one frame: two (N,) masks, True = moving."""
-        self.add(count(predicted, truth))
-
-    def add(self, counts: MaskCounts) -> None:
-        """Add the counts of one frame."""
-        self.counts = self.counts + counts
-        self.frames += 1
-
-    def compute(self) -> MaskScore:
-        """Score over all frames so far."""
-        return score(self.counts)

@@ -76,23 +76,6 @@ def rmse_m(T_true: F64, T_estimate: F64, points: Points) -> float:
     return float(np.sqrt(np.mean(np.sum(d * d, axis=1))))
 
 
-def registration_recall(
-    rmse_values_m: NDArray[np.floating], threshold_m: float = RMSE_THRESHOLD_M
-) -> float:
-    """RR: share of pairs whose RMSE is below the threshold; NaN for no pairs.
-
-    Args:
-        rmse_values_m: (P,) metres; inf or NaN count as failed.
-        threshold_m: 0.2 m indoors, 0.5 m for ETH.
-
-    Examples:
-        >>> registration_recall(np.array([0.05, 0.3, np.inf, 0.1]))
-        0.5
-    """
-    values = np.asarray(rmse_values_m, dtype=np.float64)
-    return float(np.mean(values < threshold_m)) if len(values) else float('nan')
-
-
 def residuals_m(T_true: F64, source: Points, target: Points) -> F64:
     """Distance of each correspondence under a transform.
 

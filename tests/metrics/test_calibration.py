@@ -48,7 +48,6 @@ def test_risk_coverage_against_a_loop():
         accepted = c >= gate
         assert coverage == pytest.approx(accepted.mean())
         assert risk == pytest.approx((~r[accepted]).mean())
-    assert cal.wrong_above(c, r, 0.5) == pytest.approx(np.mean((c >= 0.5) & ~r))
 
 
 def test_logistic_against_scipy():

@@ -36,18 +36,6 @@ def test_score_against_sets(share: float) -> None:
     assert result.moving_share == pytest.approx(len(moving) / 5000)
 
 
-def test_accumulator_equals_one_mask() -> None:
-    rng = np.random.default_rng(3)
-    frames = [(rng.random(n) < 0.2, rng.random(n) < 0.3) for n in (100, 0, 37, 2000)]
-    accumulator = mask.MaskAccumulator()
-    for predicted, truth in frames:
-        accumulator.update(predicted, truth)
-    whole = mask.count(*(np.concatenate(side) for side in zip(*frames, strict=True)))
-    assert accumulator.compute() == mask.score(whole)
-    assert accumulator.frames == 4
-    assert whole.total == 2137
-
-
 def test_nothing_called_nothing_moving() -> None:
     result = mask.score(mask.count(np.zeros(4, bool), np.zeros(4, bool)))
     assert math.isnan(result.iou)

@@ -9,7 +9,7 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
-from hybridreg_ros.benchmark.baseline import KissIcpAlone
+from hybridreg_ros.benchmark.baseline import Alone
 from hybridreg_ros.cli.common import write_result
 from hybridreg_ros.cli.runs.live import LiveOptions, replay_live
 from hybridreg_ros.core.progress import progress
@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     bag = args.bag or _simulate(args)
     job = session.Job(bag=bag, out=args.out)
     options = LiveOptions(args.rate, args.domain_id, timeout_s=90.0)
-    beside = session.Beside('kiss-icp alone', KissIcpAlone())
+    beside = session.Beside('kiss-icp alone', Alone())
     ours = dataclasses.replace(replay_live(job, options, beside), name='hybridreg node (live)')
     (alone,) = ours.beside
     page = args.out / 'report.html'

@@ -39,6 +39,8 @@ _DEPTH_REACH_M = 10.0
 _FAR_SHARE = 0.02
 """Depth cameras measure hardly anything so far away, where their noise is a tenth of a metre or
 more; a stray point may say so."""
+MAP_THINNING = 0.5
+"""Edge of the cubes of which the map gets one point each, voxels."""
 _OUTGROWN = 4.0
 """Voxels that fit are so many times as large once a scene has become another one: a step between
 rooms or from a wall to a hall makes them up to three times as large."""
@@ -140,7 +142,7 @@ def preprocess(
     if deskewed and scan.times is not None and np.any(twist):
         points = deskew(points, scan.times, twist, instant_s)
     usable = _in_range(points, sensor.min_range_m**2, sensor.max_range_m**2)
-    size = config.map_thinning * sensor.voxel_size_m
+    size = MAP_THINNING * sensor.voxel_size_m
     member = _every_kth(usable, config.max_points)
     table, slots, _, map_rows, _, cube = occupied(points, size, member)
     if member is not usable:
@@ -151,7 +153,8 @@ def preprocess(
     most = _MOST[sensor.kind]
     if len(icp_rows) > most:
         icp_rows = icp_rows[np.arange(most) * len(icp_rows) // most]
-    times = scan.times - instant_s if deskewed and scan.times is not None else None
+    wanted = deskewed and config.intra_scan
+    times = scan.times - instant_s if wanted and scan.times is not None else None
     return PreprocessedScan(
         points,
         usable,
@@ -187,7 +190,7 @@ def _for_registration(
         return rows, 1.0
     independent = max(len(rows), _INDEPENDENT)
     finer = size * np.sqrt(len(rows) / enough)  # points lie on surfaces
-    rows = first_per_voxel(points, max(finer, config.map_thinning * sensor.voxel_size_m))
+    rows = first_per_voxel(points, max(finer, MAP_THINNING * sensor.voxel_size_m))
     return rows, min(1.0, independent / len(rows))
 
 

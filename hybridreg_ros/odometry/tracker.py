@@ -266,10 +266,8 @@ class Tracker:
         self.lost = False
         self._bad_frames = self._bad_frames + 1 if found.tentative else 0
         self.source = found.source
-        section = self._config.covariance
-        factor = section.scale or calibration.packaged().covariance_scale[self.sensor.kind]
-        if found.source is Source.KISS_ICP:
-            factor *= section.fallback_factor
+        fitted = calibration.packaged().covariance_scale[self.sensor.kind]
+        factor = self._config.covariance.scale or fitted
         ahead_s = cloud.reported_s - cloud.instant_s
         self.covariance = covariance.of_fit(found.fit, ahead_s, factor) + self._leg(found, stamp)
         loose = bool(found.fit.unheld.any())
@@ -385,9 +383,7 @@ class Tracker:
             self._continuity.end()
             if reason is not Reason.TOO_FEW_POINTS:
                 self._motion.hold(pose, stamp)
-            self.covariance = covariance.coasting(
-                self.covariance, self._config.covariance.coast_factor, self.sensor.voxel_size_m
-            )
+            self.covariance = covariance.coasting(self.covariance, self.sensor.voxel_size_m)
         return self._estimate(pose, reason, 0.0, nothing(cloud), is_keyframe=False)
 
     def _stop(self, stamp: int, pose: F64 | None = None) -> None:

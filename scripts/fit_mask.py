@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
     F32 = NDArray[np.float32]
 
-SEED, SEQUENCES = 6_290_000, 33
+SEED, SEQUENCES = 6_290_000, 64
 RATES_HZ = (10.0, 10.0, 10.0, 20.0, 5.0, 2.0, 2.0, 3.0)
 ROOM_RATES_HZ, MOTORWAY_RATES_HZ = (10.0, 10.0, 5.0), (10.0, 10.0, 20.0, 5.0)
 POSE_ERROR, MOST_BENT = {'depth': (0.012, 0.004), 'lidar': (0.04, 0.003)}, 0.008
@@ -171,11 +171,12 @@ def frames_of(number: int) -> Iterator[SimulatedFrame]:
 def noted(scans: Iterable[tuple[Scan, NDArray[np.bool_]]]) -> list[Told]:
     """What the mask is told of scans, each with what moves in it (N,), by the front end."""
     vars(world)['Dynamics'] = Notes
-    front_end, found = HybridOdometry(), []
+    front_end = HybridOdometry()
+    found: list[Told] = []
     for scan, moving in scans:
         Notes.told.clear()
         front_end.step(scan)
-        *before, last = Notes.told or [None]
+        *before, last = Notes.told or (None,)
         if before and found and before[-1].stamp == found[-1].stamp:  # deskewed once more
             found[-1] = replace(before[-1], moving=found[-1].moving)
         if last is not None:
@@ -229,9 +230,8 @@ def labelled(number: int, keep: Path) -> Iterator[Labelled]:
     rng, past, view = np.random.default_rng([SEED + number, 80]), Past(), None
     for scan in sequence(number, keep):
         cloud, kind = scan.cloud, scan.sensor.kind
-        rows = np.flatnonzero(cloud.usable)
-        view = view or view_of(cloud.points[rows], kind)
-        image = RangeImage(cloud.points, view, scan.pose, rows)
+        view = view or view_of(cloud.points[cloud.usable], kind)
+        image = RangeImage(cloud.points, view, scan.pose, cloud.usable)
         grid = Grid.of(scan.sensor.voxel_size_m, view.step_rad)
         cells = Cells.of(cloud.means, cloud.counts, scan.pose, grid)
         static = None if rng.random() < UNASKED else scan.static

@@ -141,7 +141,7 @@ def mask_rows(scores: Scores) -> list[Row]:
     return rows
 
 
-def rival_rows(scores: Scores) -> list[Row]:
+def baseline_rows(scores: Scores) -> list[Row]:
     """Against the better classical method, per split with moving things."""
     rows = []
     for scene in ('room', 'street'):
@@ -151,8 +151,8 @@ def rival_rows(scores: Scores) -> list[Row]:
                 found = [(difference(scores, OURS, m, split), m) for m in CLASSICAL]
                 found = [f for f in found if f[0][3]]
                 if found:
-                    (gain, low, high, n), rival = min(found)
-                    note = f'{low:+.0f} to {high:+.0f}, n = {n}; {rival}'
+                    (gain, low, high, n), baseline = min(found)
+                    note = f'{low:+.0f} to {high:+.0f}, n = {n}; {baseline}'
                     rows.append(
                         Row(f'RR points above the better classical, {split}', gain, 10, 25, note)
                     )
@@ -227,7 +227,7 @@ def main() -> None:
     rows = [
         *recall_rows(scores),
         *mask_rows(scores),
-        *rival_rows(scores),
+        *baseline_rows(scores),
         *confidence_rows(scores),
         *cost_rows(bench),
     ]

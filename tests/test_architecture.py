@@ -58,7 +58,7 @@ HOMES = {
     'tf2_ros': ('ros/',),
     'rosbags': ('replay/bag_',),
     'mcap': ('replay/bag_',),
-    'kiss_icp': ('odometry/registration/kiss.py',),
+    'kiss_icp': ('odometry/registration/kiss.py', 'benchmark/pipelines.py'),
     'torch': ('model/', 'training/', 'cli/', 'benchmark/'),
     'embreex': ('data/meshes/raycast.py',),
     'evo': ('metrics/trajectory.py',),

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Rivals behind the interface of our front end: kiss-icp, genz-icp and small_gicp alone."""
+"""Other pipelines behind the interface of our front end."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from hybridreg_ros.benchmark.rivals import GenzIcp, GicpToKeyframe
+from hybridreg_ros.benchmark.pipelines import GenzIcp, GicpToKeyframe, KissIcp
 from hybridreg_ros.core.errors import ConfigError
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.preprocess import SensorModel, recognise_sensor
-from hybridreg_ros.odometry.registration.kiss import PlainKissIcp
 from hybridreg_ros.odometry.result import OdometryResult, Reason, Source
 
 if TYPE_CHECKING:
@@ -21,17 +20,17 @@ if TYPE_CHECKING:
 
     from hybridreg_ros.core.scan import Scan
 
-RIVAL_VOXEL_M = {
+BASELINE_VOXEL_M = {
     'kiss-icp': {'depth': 0.1, 'lidar': 0.3},
     'genz-icp': {'depth': 0.06, 'lidar': 0.3},
     'small-gicp': {'depth': 0.1, 'lidar': 0.3},
 }
-"""Voxel edge that suits each rival, metres: the best of a sweep (docs/lab, 2026-11-22), better
+"""Voxel edge that suits each baseline, metres: the best of a sweep (docs/lab, 2026-11-22), better
 than kiss-icp's own rule, a hundredth of the maximum range (0.08 and 1 m)."""
 
 
 class _Pipeline(Protocol):
-    """What the rivals have in common."""
+    """What the pipelines have in common."""
 
     def step(
         self, points: NDArray[np.floating], times: NDArray[np.float64] | None = None
@@ -40,22 +39,24 @@ class _Pipeline(Protocol):
 
 
 class Alone:
-    """A rival's own pipeline with the ranges of the sensor.
+    """A baseline's own pipeline with the ranges of the sensor.
 
     It says nothing about moving points, confidence or covariance; `source` of its results is
     kiss_icp for want of a better word.
 
     Args:
         name: kiss-icp, genz-icp or small-gicp.
-        voxel_size_m: its voxel size, None = RIVAL_VOXEL_M of the rival and the sensor.
+        voxel_size_m: its voxel size, None = BASELINE_VOXEL_M for the sensor.
 
     Raises:
-        ConfigError: no such rival.
+        ConfigError: no such baseline.
     """
 
     def __init__(self, name: str = 'kiss-icp', voxel_size_m: float | None = None) -> None:
         if name not in ('kiss-icp', 'genz-icp', 'small-gicp'):
-            raise ConfigError(f'rival: expected kiss-icp, genz-icp or small-gicp, found {name!r}')
+            raise ConfigError(
+                f'baseline: expected kiss-icp, genz-icp or small-gicp, found {name!r}'
+            )
         self._name = name
         self._voxel_size_m = voxel_size_m
         self._pipeline: _Pipeline | None = None
@@ -82,16 +83,9 @@ class Alone:
         )
 
     def _build(self, sensor: SensorModel) -> _Pipeline:
-        voxel = self._voxel_size_m or RIVAL_VOXEL_M[self._name][sensor.kind]
+        voxel = self._voxel_size_m or BASELINE_VOXEL_M[self._name][sensor.kind]
         if self._name == 'kiss-icp':
-            return PlainKissIcp(voxel, sensor.max_range_m, sensor.min_range_m)
+            return KissIcp(voxel, sensor.max_range_m, sensor.min_range_m)
         if self._name == 'genz-icp':
             return GenzIcp(voxel, sensor.max_range_m, sensor.min_range_m)
         return GicpToKeyframe(voxel, sensor.max_range_m, sensor.min_range_m)
-
-
-class KissIcpAlone(Alone):
-    """kiss-icp alone, as its authors ship it: the rival beside ours in the demo."""
-
-    def __init__(self) -> None:
-        super().__init__('kiss-icp')

@@ -9,12 +9,12 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from hybridreg_ros.benchmark import suite_data
+from hybridreg_ros.benchmark.pipelines import KissIcp
 from hybridreg_ros.benchmark.suite_list import chosen
 from hybridreg_ros.core.progress import progress
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.preprocess import recognise_sensor
-from hybridreg_ros.odometry.registration.kiss import PlainKissIcp
 from hybridreg_ros.odometry.result import Source
 from hybridreg_ros.replay.page.tables import text_table
 
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
 def _steps(scans: Sequence[Scan]) -> Iterator[dict[str, float]]:
     """Milliseconds per scan, ours and kiss-icp in turns: a busy machine is busy for both."""
     sensor = recognise_sensor(scans[0].points, OdometryConfig())
-    kiss = PlainKissIcp(_KISS_VOXEL_M[sensor.kind], sensor.max_range_m, sensor.min_range_m)
+    kiss = KissIcp(_KISS_VOXEL_M[sensor.kind], sensor.max_range_m, sensor.min_range_m)
     ours = HybridOdometry()
     for scan in scans:
         began = time.process_time()

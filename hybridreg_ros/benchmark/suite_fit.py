@@ -147,8 +147,8 @@ def gather(
     config = replace(
         base,
         registrar='kiss-icp',
-        fallback=replace(base.fallback, sure=1.0, good=1.0) if jolted else base.fallback,
-        covariance=replace(base.covariance, scale=1.0, fallback_factor=1.0),
+        gate=replace(base.gate, sure=1.0) if jolted else base.gate,
+        covariance=replace(base.covariance, scale=1.0),
     )
     off = partial(Jolted, *_JOLTS[sequence.kind], seed=sequence.seed + stride)
     odometry = HybridOdometry(config, model=None, motion=off if jolted else Motion)
@@ -161,7 +161,7 @@ def gather(
         truth = frame.T_world_sensor
         if known:
             for candidate in _distinct(odometry.judged):
-                if candidate.evidence.overlap >= base.gate.min_overlap:
+                if candidate.verdict.fault is not Reason.NO_OVERLAP:
                     features.append([getattr(candidate.evidence, name) for name in EVIDENCE])
                     right.append(_right(known, (candidate.reported, truth), limits))
         if result.reason is Reason.RECOVERED and result.confidence == 0.0:

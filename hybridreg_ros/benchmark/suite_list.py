@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 STRIDES = (1, 2, 5, 10)
 METHODS = ('ours', 'ours-no-mask', 'ours-no-network', 'kiss-icp', 'genz-icp', 'small-gicp')
-RIVALS = ('kiss-icp', 'genz-icp')
+BASELINES = ('kiss-icp', 'genz-icp')
 
 
 @dataclass(frozen=True)

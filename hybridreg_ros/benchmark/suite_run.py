@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hybridreg_ros.benchmark.baseline import RIVAL_VOXEL_M, Alone
+from hybridreg_ros.benchmark.baseline import BASELINE_VOXEL_M, Alone
 from hybridreg_ros.benchmark.suite_list import METHODS
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.config import to_dict
@@ -40,7 +40,7 @@ VERSION = 1
 """Of the layout and meaning of a cell; a cell of another version is made anew."""
 _VIEW_POINTS = 6000
 _INSTANTS = (0.0, 0.5, 1.0)
-_RIVAL_PACKAGES = {'kiss-icp': 'kiss-icp', 'genz-icp': 'genz-icp', 'small-gicp': 'small_gicp'}
+_BASELINE_PACKAGES = {'kiss-icp': 'kiss-icp', 'genz-icp': 'genz-icp', 'small-gicp': 'small_gicp'}
 
 
 def config_of(method: str, base: OdometryConfig) -> OdometryConfig:
@@ -66,9 +66,12 @@ def fingerprint(method: str, base: OdometryConfig, weights: Path | None) -> dict
         base: settings of ours.
         weights: checkpoint of the network.
     """
-    if method in _RIVAL_PACKAGES:
-        package = _RIVAL_PACKAGES[method]
-        return {'package': f'{package} {version(package)}', 'voxel_m': dict(RIVAL_VOXEL_M[method])}
+    if method in _BASELINE_PACKAGES:
+        package = _BASELINE_PACKAGES[method]
+        return {
+            'package': f'{package} {version(package)}',
+            'voxel_m': dict(BASELINE_VOXEL_M[method]),
+        }
     text = json.dumps(to_dict(config_of(method, base)), sort_keys=True)
     found = {
         'config': hashlib.sha256(text.encode()).hexdigest()[:16],
@@ -94,7 +97,7 @@ def front_end(method: str, base: OdometryConfig, weights: Path | None) -> FrontE
     """A fresh front end of a method."""
     from hybridreg_ros.replay.session import open_front_end
 
-    if method in _RIVAL_PACKAGES:
+    if method in _BASELINE_PACKAGES:
         return Alone(method)
     return open_front_end(config_of(method, base), weights)
 
@@ -125,18 +128,21 @@ def run_cell(
         wall, cpu = time.perf_counter(), time.process_time()
         result = ours.step(frame.scan)
         row = _row(frame, result, threshold)
-        if method in _RIVAL_PACKAGES:
+        if method in _BASELINE_PACKAGES:
             row |= {'source': method, 'reason': '', 'confidence': None}
         row['wall_ms'] = 1e3 * (time.perf_counter() - wall)
         row['cpu_ms'] = 1e3 * (time.process_time() - cpu)
         rows.append(row)
         poses.append(result.pose)
-        if len(rows) - 1 in (len(chosen) // 2, len(chosen) - 1) and method not in _RIVAL_PACKAGES:
+        if (
+            len(rows) - 1 in (len(chosen) // 2, len(chosen) - 1)
+            and method not in _BASELINE_PACKAGES
+        ):
             views[str(len(rows) - 1)] = _view(frame, result, threshold)
     truth = np.array([f.T_world_sensor for f in chosen])
     estimate = np.array(poses)
     instant = 0.0
-    if method in _RIVAL_PACKAGES and chosen[0].scan.times is not None:
+    if method in _BASELINE_PACKAGES and chosen[0].scan.times is not None:
         truth, instant = _kindest(estimate, truth, chosen)
     return {
         'version': VERSION,
@@ -190,9 +196,9 @@ def _row(frame: SuiteFrame, result: OdometryResult, threshold: float) -> dict[st
 
 
 def _kindest(estimate: F64, truth: F64, frames: Many[SuiteFrame]) -> tuple[F64, float]:
-    """True poses at the instant of the scan that suits a rival best, and that instant in [0, 1].
+    """True poses at the instant of the scan, in [0, 1], that suits a baseline best, and it.
 
-    Rivals undo the motion during a scan to an instant of their own choice.
+    Baselines undo the motion during a scan to an instant of their own choice.
     """
     times = frames[0].scan.times
     assert times is not None

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hybridreg_ros.benchmark import suite_memory
-from hybridreg_ros.benchmark.suite_list import METHODS, RIVALS, SEQUENCES, STRIDES
+from hybridreg_ros.benchmark.suite_list import BASELINES, METHODS, SEQUENCES, STRIDES
 from hybridreg_ros.metrics.calibration import expected_calibration_error
 from hybridreg_ros.metrics.mask import MaskCounts, score
 from hybridreg_ros.odometry.config import GateConfig
@@ -122,7 +122,7 @@ def _rows(mine: list[Cell], cells: list[Cell]) -> list[dict[str, Any]]:
             'median'),
         row('ATE in percent of the path, rooms 30-50 %', 3.0, 0.5,
             _values(at_heavy, 'ate_percent'), 'median'),
-        row('ATE against the better rival, rooms 0 % and static real', 1.05, 0.8,
+        row('ATE against the better baseline, rooms 0 % and static real', 1.05, 0.8,
             _ratios([*at_still, *real], cells), 'median of ratios'),
         row('wrong steps at stride 5, all suites (right: 95 / 100 %)', 0.05, 0.0,
             [float(not f['step_right']) for f in fives], 'share', np.mean),
@@ -192,12 +192,14 @@ def _values(cells: Iterable[Cell], key: str) -> list[float]:
 
 
 def _ratios(mine: Iterable[Cell], cells: list[Cell]) -> list[float]:
-    """Our ATE over the better rival's, where at least one rival was run."""
+    """Our ATE over the better baseline's, where at least one was run."""
     found = []
     for cell in mine:
-        rivals = [c['scores']['ate_m'] for c in cells if _same(c, cell) and c['method'] in RIVALS]
-        if rivals:
-            found.append(cell['scores']['ate_m'] / max(1e-9, min(rivals)))
+        others = [
+            c['scores']['ate_m'] for c in cells if _same(c, cell) and c['method'] in BASELINES
+        ]
+        if others:
+            found.append(cell['scores']['ate_m'] / max(1e-9, min(others)))
     return found
 
 

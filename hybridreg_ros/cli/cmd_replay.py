@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hybridreg_ros.benchmark.baseline import KissIcpAlone
+from hybridreg_ros.benchmark.baseline import Alone
 from hybridreg_ros.cli.common import write_result
 from hybridreg_ros.cli.runs import fleet
 from hybridreg_ros.cli.runs.many import require_dask
@@ -145,7 +145,7 @@ def beside(job: session.Job) -> session.Beside | None:
     """kiss-icp alone on the same clouds, unless it is switched off or leads anyway."""
     if not job.compare or job.config.registrar == 'kiss-icp':
         return None
-    return session.Beside('kiss-icp alone', KissIcpAlone())
+    return session.Beside('kiss-icp alone', Alone())
 
 
 def tell(args: argparse.Namespace, job: session.Job, done: ReportRun) -> int:

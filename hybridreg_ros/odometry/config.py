@@ -11,7 +11,6 @@ from hybridreg_ros.core.config import dump_yaml, option, validate
 __all__ = [
     'CovarianceConfig',
     'DynamicsConfig',
-    'FallbackConfig',
     'GateConfig',
     'InputConfig',
     'KeyframeConfig',
@@ -19,7 +18,6 @@ __all__ = [
     'MapConfig',
     'OdometryConfig',
     'PreprocessConfig',
-    'RefineConfig',
     'parameter_file',
 ]
 
@@ -99,12 +97,6 @@ class CovarianceConfig(Section):
         low=0.0,
         high=1e6,
     )
-    fallback_factor: float = option(
-        1.5, 'additional factor for poses made by the fallback', low=1.0, high=1e6
-    )
-    coast_factor: float = option(
-        100.0, 'additional factor per frame whose pose is only predicted', low=1.0, high=1e6
-    )
 
 
 @dataclass(frozen=True)
@@ -169,6 +161,11 @@ class PreprocessConfig(Section):
     deskew: bool = option(
         True, 'compensate for the motion during a scan if the points carry times'
     )
+    intra_scan: bool = option(
+        True,
+        'estimate how that motion deviates from an even one, together with the pose, if the '
+        'points carry times',
+    )
     deskew_to: str = option(
         'stamp',
         'instant to which the pose of a deskewed scan refers: its stamp, its first or its '
@@ -184,156 +181,11 @@ class PreprocessConfig(Section):
 class MapConfig(Section):
     """The local map."""
 
-    points_per_voxel: int = option(20, 'maximum number of points kept per voxel', low=1, high=100)
     reach_m: float = option(
         0.0,
         'points farther from the sensor are removed, metres; 0 = the maximum range',
         low=0.0,
         high=1000.0,
-    )
-    coarse_factor: float = option(
-        8.0, 'voxel size of the coarse level relative to that of the fine one', low=1.5, high=16.0
-    )
-
-
-@dataclass(frozen=True)
-class RefineConfig(Section):
-    """ICP against the local map."""
-
-    max_iterations: int = option(15, 'maximum number of iterations per level', low=1, high=200)
-    start_scale: float = option(
-        0.5, 'initial robust scale on the coarse level, in its voxels', low=0.0, high=2.0
-    )
-    anneal: float = option(
-        0.6, 'factor by which the robust scale shrinks per iteration', low=0.01, high=1.0
-    )
-    convergence: float = option(
-        0.03, 'the iteration ends when a step is smaller than this, in voxels', low=1e-6, high=0.5
-    )
-    coarse_points: int = option(
-        1500, 'number of points used on the coarse level', low=100, high=100_000
-    )
-    min_scale: float = option(
-        0.02,
-        'lower limit of the residual scale of the robust kernel, in voxels',
-        low=1e-4,
-        high=1.0,
-    )
-    loose: float = option(
-        0.02,
-        'a direction that the surfaces constrain by less than this share of what surfaces '
-        'facing all ways would give follows the motion model; errors of the normals alone '
-        'give so much',
-        low=0.0,
-        high=1.0,
-    )
-    mature_s: float = option(
-        0.5,
-        'time after which a surface of the map has full weight, seconds; 0 = all surfaces '
-        'weigh the same',
-        low=0.0,
-        high=100.0,
-    )
-    young: float = option(
-        0.1, 'weight of a surface that was first seen in the last scan', low=0.0, high=1.0
-    )
-    intra_scan: bool = option(
-        True, 'estimate the intra-scan motion together with the pose if the points carry times'
-    )
-    intra_scan_iterations: int = option(
-        6, 'maximum number of iterations that estimate it', low=1, high=50
-    )
-    intra_scan_speed: float = option(
-        0.12,
-        'standard deviation of its velocity about the predicted one, m/s',
-        low=1e-3,
-        high=100.0,
-    )
-    intra_scan_turn_deg: float = option(
-        3.0,
-        'standard deviation of its angular velocity until the usual change of that is known, '
-        'degrees/s',
-        low=1e-2,
-        high=1000.0,
-    )
-    intra_scan_follow: float = option(
-        0.35,
-        'standard deviation of its angular velocity from then on, relative to that usual '
-        'change from scan to scan; 0 = as before',
-        low=0.0,
-        high=10.0,
-    )
-
-
-@dataclass(frozen=True)
-class FallbackConfig(Section):
-    """kiss-icp against the middle level of the map, from the constant-velocity guess."""
-
-    max_iterations: int = option(
-        100, "maximum number of iterations of kiss-icp's registration", low=1, high=500
-    )
-    convergence: float = option(
-        0.008,
-        'its iteration ends when a step is smaller than this, in its voxels',
-        low=1e-6,
-        high=0.5,
-    )
-    threads: int = option(1, 'number of threads of its registration', low=1, high=64)
-    min_motion_m: float = option(
-        0.0,
-        'smaller deviations do not widen its correspondence threshold, metres; 0 = a tenth of '
-        'its voxel',
-        low=0.0,
-        high=10.0,
-    )
-    initial_threshold_m: float = option(
-        0.0,
-        'its initial correspondence threshold, metres; 0 = two of its voxels',
-        low=0.0,
-        high=100.0,
-    )
-    thinning: float = option(
-        1.5, 'edge length of the thinning cubes for its points, in its voxels', low=0.1, high=8.0
-    )
-    max_points: int = option(2000, 'maximum number of points given to it', low=100, high=100_000)
-    sure: float = option(
-        0.95, 'confidence of the first guess at which no other one is tried', low=0.0, high=1.0
-    )
-    good: float = option(
-        0.9,
-        'the same for a pose of the network, and once a second guess has been tried',
-        low=0.0,
-        high=1.0,
-    )
-    accept: float = option(
-        0.3,
-        'a pose of lower confidence makes a bad frame, and is used only where it agrees with '
-        'the motion model',
-        low=0.0,
-        high=1.0,
-    )
-    turns_deg: tuple[float, ...] = option(
-        (20.0, 40.0, 60.0),
-        'rotations of the guesses of a wide search, degrees',
-        low=0.1,
-        high=180.0,
-    )
-    shifts: tuple[float, ...] = option(
-        (1.0, 2.0, 3.0),
-        'translations of the guesses of a wide search, in coarse voxels',
-        low=0.1,
-        high=100.0,
-    )
-    searched: int = option(
-        3,
-        'number of guesses of a wide search that are followed up while in doubt',
-        low=0,
-        high=100,
-    )
-    plane_icp: bool = option(
-        True,
-        'refine its pose point to plane against the same map, as is done with poses of the '
-        'network',
     )
 
 
@@ -341,65 +193,33 @@ class FallbackConfig(Section):
 class GateConfig(Section):
     """Which poses are trusted, and which scans are written to the map."""
 
-    doubt: float = option(
+    sure: float = option(
         0.9,
-        'a pose gets a second opinion if a smaller share of the points stands on what an '
-        'earlier scan saw',
+        'confidence at which a pose of the network needs no second opinion, and a scan is written '
+        'to the map where the map already shows the place',
         low=0.0,
         high=1.0,
     )
     enter: float = option(
         0.7,
-        'confidence at which a pose of the network is taken, and any pose moves the motion model',
-        low=0.0,
-        high=1.0,
-    )
-    write: float = option(
-        0.9,
-        'a scan of lower confidence is not written to the map where the map already shows the '
-        'place',
-        low=0.0,
-        high=1.0,
-    )
-    firm: float = option(
-        0.2,
-        'the same for a scan whose position has a larger standard deviation along its worst '
-        'axis, in voxels; neither of them becomes a keyframe',
-        low=0.0,
-        high=1000.0,
-    )
-    known: float = option(
-        0.8,
-        'share of the points that must find the map for it to show the place already',
+        'confidence at which a pose of the network is looked at, and any pose moves the motion '
+        'model',
         low=0.0,
         high=1.0,
     )
     max_jump_m: float = option(
         0.0,
-        'maximum distance from the predicted position, metres; 0 = by voxel and speed',
+        'distance from the predicted position beyond which more must speak for a pose, metres; '
+        '0 = by voxel and speed',
         low=0.0,
         high=1000.0,
     )
-    against_motion: float = option(
-        0.75,
-        'confidence that a pose beyond that distance must reach from what the scan sees',
+    accept: float = option(
+        0.3,
+        'a pose of lower confidence makes a bad frame, and is used only where it agrees with '
+        'the motion model',
         low=0.0,
         high=1.0,
-    )
-    max_jump_deg: float = option(
-        45.0, 'maximum rotation from the predicted orientation, degrees', low=0.1, high=180.0
-    )
-    min_overlap: float = option(
-        0.2, 'minimum share of the points that find the map after alignment', low=0.0, high=1.0
-    )
-    min_seen: float = option(
-        0.15,
-        'minimum share of the points that lie in directions which an earlier scan saw',
-        low=0.0,
-        high=1.0,
-    )
-    min_consistent: float = option(
-        0.15, 'minimum share of those that stand on what the earlier scan saw', low=0.0, high=1.0
     )
 
 
@@ -425,8 +245,6 @@ class OdometryConfig(Section):
         PreprocessConfig, 'from the cloud to the registered points'
     )
     map: MapConfig = option(MapConfig, 'the local map')
-    refine: RefineConfig = option(RefineConfig, 'ICP against the local map')
-    fallback: FallbackConfig = option(FallbackConfig, 'registration by kiss-icp')
     gate: GateConfig = option(GateConfig, 'which poses are trusted')
     keyframe: KeyframeConfig = option(KeyframeConfig, 'when a scan becomes a keyframe')
     lost: LostConfig = option(LostConfig, 'when a pose is given up and how it is found again')

@@ -61,6 +61,9 @@ _NETWORK_SPREAD = 0.2, float(np.deg2rad(0.3))
 """Standard deviation of the network's poses along each axis, in voxels of the map and radians: of
 six recorded and simulated sequences, half are within 0.2 voxels and 0.3 degrees of the aligned
 pose, all axes together (docs/lab/2026-11-29-step-time.md)."""
+_NO_DOUBT, _STANDS = 0.95, 0.9
+"""Confidence, and share of the points on what an earlier scan saw, at which the first pose of
+kiss-icp needs no second opinion."""
 _SOON_S = 0.15
 """So soon after the last scan the motion says where this one is; later much can have happened."""
 _JUMP = 0.5
@@ -96,7 +99,7 @@ class Locator:
         self._world = world
         self._learned = learned
         self._fallback = Fallback(config, sensor, world.map)
-        self._sure = config.fallback.good
+        self._sure = config.gate.sure
         self._no_network = (
             Reason.REGISTRAR_KISS_ICP if config.registrar == 'kiss-icp' else Reason.NO_WEIGHTS
         )
@@ -212,8 +215,8 @@ class Locator:
 
         Confidence alone is not enough: at a wrong pose along walls most points find the map too.
         """
-        sure = confidence >= self._config.fallback.sure
-        return sure and evidence.consistent >= self._config.gate.doubt
+        sure = confidence >= _NO_DOUBT
+        return sure and evidence.consistent >= _STANDS
 
     def _followed(
         self,
@@ -307,8 +310,7 @@ class Locator:
             cloud: the preprocessed scan.
         """
         best = expected.fused(pose, *self._network_spread)
-        reach_m = float(np.median(np.linalg.norm(cloud.icp_points, axis=1)))
-        sure = _FAR * (best.shift_m + reach_m * best.turn_rad) < self._world.map.fine.size_m
+        sure = _FAR * (best.shift_m + cloud.reach_m * best.turn_rad) < self._world.map.fine.size_m
         return best.pose, 'fine' if sure else 'near'
 
     def _by_network(
@@ -324,16 +326,16 @@ class Locator:
             return Reason.LOW_CONFIDENCE
         if proposal.confidence < self._config.gate.enter:
             return Reason.LOW_CONFIDENCE
-        start, settings = proposal.T_odom_sensor, self._config.refine
+        start = proposal.T_odom_sensor
         prior = self._prior_near(start)
         basin: Basin = 'near'
         if prior is not None and expected is not None:
             start, basin = self._start_between(start, expected, cloud)
-        fit = align_scan(cloud, start, self._world.map, settings, trust, basin, prior)
+        fit = align_scan(cloud, start, self._world.map, trust, basin, prior)
         candidate = check(fit)
         if candidate.verdict.fault is not None:
             return candidate.verdict.fault
-        if candidate.verdict.confidence < self._config.fallback.accept:
+        if candidate.verdict.confidence < self._config.gate.accept:
             return Reason.REFINEMENT_FAILED
         return Located(
             fit,
@@ -356,20 +358,20 @@ class Locator:
         wide: bool = True,
     ) -> Located | Reason:
         """Fallback from the guesses; while in doubt, other ways and turned guesses. Best wins."""
-        section = self._config.fallback
+        gate = self._config.gate
         best = self._followed(cloud, guesses[0], trust, check)
         if best is None or not self._without_doubt(best.verdict.confidence, best.evidence):
             ways = self._other_ways(cloud, guesses, trust, best)
             for way in ways if wide else islice(ways, 1):
                 best = better(best, tried(way, check))
-                if best is not None and best.verdict.confidence >= section.good:
+                if best is not None and best.verdict.confidence >= gate.sure:
                     break
         if best is None:
             return Reason.REFINEMENT_FAILED
         if best.verdict.fault is not None:
             return best.verdict.fault
-        if best.verdict.confidence < section.accept:
-            if not candidates.is_worth_it(best, self.judged, self._voxel_m, section.accept):
+        if best.verdict.confidence < gate.accept:
+            if not candidates.is_worth_it(best, self.judged, self._voxel_m, gate.accept):
                 return Reason.LOW_CONFIDENCE
             return located_by_kiss(best, Reason.LOW_CONFIDENCE, tentative=True)
         return located_by_kiss(best, reason)
@@ -400,7 +402,12 @@ class Locator:
         )
         predicted, dt_s = (None, 0.0) if expected is None else (expected.pose, expected.seconds)
         verdict = judge(
-            evidence, fit.T_odom_sensor, predicted, dt_s, self._voxel_m, self._config.gate
+            evidence,
+            fit.T_odom_sensor,
+            predicted,
+            dt_s,
+            self._voxel_m,
+            self._config.gate.max_jump_m,
         )
         reported = cloud.reported(fit.T_odom_sensor, fit.intra_scan)
         off = candidates.innovation(fit.T_odom_sensor, expected, self._voxel_m)

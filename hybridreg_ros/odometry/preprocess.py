@@ -164,7 +164,8 @@ def preprocess(
     most = _MOST[sensor.kind]
     if len(icp_rows) > most:
         icp_rows = icp_rows[np.arange(most) * len(icp_rows) // most]
-    times = scan.times - instant_s if deskewed and scan.times is not None else None
+    wanted = deskewed and config.intra_scan
+    times = scan.times - instant_s if wanted and scan.times is not None else None
     return PreprocessedScan(
         points,
         usable,

@@ -33,7 +33,7 @@ class PreprocessedScan:
         instant_s: instant of `points`, seconds after the scan's stamp.
         reported_s: instant at which the pose is wanted, seconds after the scan's stamp.
         twist: (6,) velocity by which it was deskewed, sensor frame.
-        times: (N,) seconds of each point after `instant_s`; None when it was not deskewed.
+        times: (N,) seconds of each point after `instant_s`; None = only an even motion is undone.
         icp_share: share of the registered points that counts as independent, (0, 1].
     """
 
@@ -65,6 +65,11 @@ class PreprocessedScan:
     def icp_points(self) -> NDArray[np.float32]:
         """(K, 3) points that are registered: means of the cubes of `icp_rows`."""
         return self.means[self.icp_in_map]
+
+    @property
+    def reach_m(self) -> float:
+        """Median range of the registered points, metres."""
+        return float(np.median(np.linalg.norm(self.icp_points, axis=1)))
 
     @property
     def icp_times(self) -> NDArray[np.float64] | None:

@@ -294,10 +294,8 @@ class Tracker:
 
     def _own(self, found: Located, ahead_s: float) -> F64:
         """Covariance (6, 6) in its surroundings of a pose told `ahead_s` after its instant."""
-        section = self._config.covariance
-        factor = section.scale or calibration.packaged().covariance_scale[self.sensor.kind]
-        if found.source is Source.KISS_ICP:
-            factor *= section.fallback_factor
+        fitted = calibration.packaged().covariance_scale[self.sensor.kind]
+        factor = self._config.covariance.scale or fitted
         return covariance.of_registration(found.fit, ahead_s, factor)
 
     def _around(self, pose: F64, own: F64) -> tuple[F64, float]:
@@ -422,9 +420,7 @@ class Tracker:
             self._continuity.end()
             if reason is not Reason.TOO_FEW_POINTS:
                 self._motion.hold(pose, stamp)
-            self.covariance = covariance.coasting(
-                self.covariance, self._config.covariance.coast_factor, self.sensor.voxel_size_m
-            )
+            self.covariance = covariance.coasting(self.covariance, self.sensor.voxel_size_m)
         return self._estimate(pose, reason, 0.0, nothing(cloud), is_keyframe=False)
 
     def _stop(self, stamp: int, pose: F64 | None = None) -> None:

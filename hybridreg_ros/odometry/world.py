@@ -53,8 +53,6 @@ class World:
         self.map = LocalMap(
             sensor.voxel_size_m,
             config.map.reach_m or sensor.max_range_m,
-            config.map.points_per_voxel,
-            config.map.coarse_factor,
             sensor.kind == 'depth',
         )
         self.keyframes = Keyframes(config.keyframe, sensor.voxel_size_m)
@@ -105,7 +103,7 @@ class World:
             The keyframe that it has become, if one was due.
         """
         pose, still, keyframe = found.fit.T_odom_sensor, dynamic < _STATIC_BELOW, None
-        enters = found.adds_to_map(self._config.gate, self._sensor.voxel_size_m)
+        enters = found.adds_to_map(self._config.gate.sure, self._sensor.voxel_size_m)
         if self.is_due(found, stamp):
             keyframe = self.keyframes.add(pose, stamp, cloud.map_points)
         if not found.tentative:
@@ -119,7 +117,7 @@ class World:
     def is_due(self, found: Located, stamp: int) -> bool:
         """Whether a located scan must become a keyframe."""
         pose, seen = found.fit.T_odom_sensor, found.evidence.seen
-        enters = found.adds_to_map(self._config.gate, self._sensor.voxel_size_m)
+        enters = found.adds_to_map(self._config.gate.sure, self._sensor.voxel_size_m)
         return enters and self.keyframes.wanted(pose, stamp, seen)
 
     def forget(self) -> None:

@@ -43,7 +43,7 @@ class Setting:
         starting: what the node does before it subscribes, '' once it has.
         waiting_for: text while outputs are held back (extrinsic unknown), else ''.
         guides: state of what corrects the prediction (guess, imu), by name.
-        rivals: other nodes that publish odometry under the same name.
+        twins: other nodes that publish odometry under the same name.
         queue: clouds waiting.
         tf: state of the /tf output.
     """
@@ -59,7 +59,7 @@ class Setting:
     starting: str
     waiting_for: str
     guides: Mapping[str, str]
-    rivals: int
+    twins: int
     queue: int
     tf: str
 
@@ -106,8 +106,8 @@ def _about_node(state: Snapshot, setting: Setting) -> list[tuple[bytes, str]]:
         text = f'no odometry for {state.odometry_age_s:.1f} s, although clouds come'
         told = state.recent_drops or not state.last_drop
         found.append((WARN, text if told else f'{text}; last: {state.last_drop}'))
-    if setting.rivals:
-        found.append((ERROR, f'{setting.rivals} more {TWINS}'))
+    if setting.twins:
+        found.append((ERROR, f'{setting.twins} more {TWINS}'))
     for name, state_of in setting.guides.items():
         if state_of.startswith('no '):
             found.append((WARN, f'without {name}: {state_of}'))

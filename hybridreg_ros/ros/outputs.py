@@ -111,7 +111,7 @@ class Outputs:
             self._node.get_logger().warning('/tf: ' + self.tf_state, once=True)
 
     @property
-    def rivals(self) -> int:
+    def twins(self) -> int:
         """Other publishers of this node's odometry: nodes of the same name."""
         return max(int(self._node.count_publishers(self._odometry.topic_name)) - 1, 0)
 

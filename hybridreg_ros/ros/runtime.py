@@ -216,9 +216,9 @@ class Runtime:
         made = self._front_end
         state = ', '.join(source.state for source in self._inputs) or 'closed'
         closed = '' if self._inputs else 'inactive'
-        rivals = self._outputs.rivals
-        if rivals:
-            self._journal.warn('twins', f'{rivals} more {TWINS}')
+        twins = self._outputs.twins
+        if twins:
+            self._journal.warn('twins', f'{twins} more {TWINS}')
         second = {} if self._second is None else {'points_2': self._second.state}
         setting = Setting(
             name=f'{name}: odometry',
@@ -232,7 +232,7 @@ class Runtime:
             starting=self._building.state if made is None else closed,
             waiting_for=self._extrinsic.waiting_for,
             guides={**self._guides.states, **second},
-            rivals=rivals,
+            twins=twins,
             queue=self._worker.waiting if self._worker else 0,
             tf=self._outputs.tf_state,
         )

@@ -51,7 +51,7 @@ def test_errors_do_not_depend_on_the_world_frame():
     assert reg.rmse_m(W @ A, W @ B, points) == pytest.approx(reg.rmse_m(A, B, points))
 
 
-def test_recall_of_nothing():
+def test_recall_of_no_pairs_is_unknown():
     assert np.isnan(reg.feature_matching_recall(np.array([])))
 
 

@@ -41,15 +41,15 @@ def test_more_points_of_finer_cubes_do_not_count_as_so_much_more(
     assert len(fine.icp_rows) > max(2500, 1.2 * len(coarse.icp_rows))
     independent = max(2500, len(coarse.icp_rows))
     assert fine.icp_share == pytest.approx(independent / len(fine.icp_rows), rel=0.02)
-    local_map = LocalMap(sensor.voxel_size_m, 8.0, 20, 8.0, True)
+    local_map = LocalMap(sensor.voxel_size_m, 8.0, True)
     local_map.update(fine.means.astype(np.float64), np.zeros(3))
-    all_count = align(fine.icp_points, np.eye(4), local_map, config.refine, basin='fine')
-    aligned = align_scan(fine, np.eye(4), local_map, config.refine)
+    all_count = align(fine.icp_points, np.eye(4), local_map, basin='fine')
+    aligned = align_scan(fine, np.eye(4), local_map)
     np.testing.assert_allclose(aligned.T_odom_sensor, all_count.T_odom_sensor)
     np.testing.assert_allclose(aligned.information, fine.icp_share * all_count.information)
     aside = Expected(pose(0.05, 0.0, 0.0, 0.0), 0.002, 0.01, 0.1)
     drawn = [
-        align_scan(one, np.eye(4), local_map, config.refine, prior=aside).T_odom_sensor[0, 3]
+        align_scan(one, np.eye(4), local_map, prior=aside).T_odom_sensor[0, 3]
         for one in (replace(fine, icp_share=1.0), fine, replace(fine, icp_share=0.01))
     ]
     assert 0.0 < drawn[0] < drawn[1] < drawn[2]

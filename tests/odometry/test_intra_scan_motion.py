@@ -12,7 +12,7 @@ from tiny_world import ROOM, cast, lidar_rays, pose
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import Scan
-from hybridreg_ros.odometry.config import OdometryConfig, RefineConfig
+from hybridreg_ros.odometry.config import OdometryConfig, PreprocessConfig
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.map.local_map import LocalMap
 from hybridreg_ros.odometry.motion.intra_scan_motion import IntraScanMotion
@@ -58,17 +58,16 @@ def test_refinement_finds_the_motion_during_the_scan() -> None:
     points = sweep(lambda t: HERE @ truth.at(t - middle), seed=3)[::2]
     times = TIMES[::2] - middle
     still = cast(ROOM, HERE, lidar_rays(480, 60), seed=4)[0]
-    local_map = LocalMap(0.15, 50.0, 20, 8.0)
+    local_map = LocalMap(0.15, 50.0)
     local_map.update(still.astype(np.float64), np.zeros(3))
-    config = RefineConfig()
-    rigid = align(points, np.eye(4), local_map, config)
-    found = align(points, np.eye(4), local_map, config, times=times)
+    rigid = align(points, np.eye(4), local_map)
+    found = align(points, np.eye(4), local_map, times=times)
     assert found.intra_scan is not None
     assert rigid.intra_scan is None
     turn_deg = se3.rotation_angle_deg(found.T_odom_sensor[:3, :3])
     assert turn_deg < 0.05
     assert turn_deg < 0.3 * se3.rotation_angle_deg(rigid.T_odom_sensor[:3, :3])
-    assert found.scale_m < 0.6 * rigid.scale_m
+    assert np.trace(found.information) > 2.0 * np.trace(rigid.information)
     for s in (-middle, middle):
         off = se3.inverse(truth.at(s)) @ found.intra_scan.at(s)
         assert se3.rotation_angle_deg(off[:3, :3]) < 0.15
@@ -101,7 +100,7 @@ def test_a_rough_ride_keeps_its_poses_from_the_first_step_on() -> None:
     turn_deg, shift_m = worst_step(scans, OdometryConfig())
     assert turn_deg < 0.6
     assert shift_m < 0.06
-    even = worst_step(scans, OdometryConfig(refine=RefineConfig(intra_scan=False)))
+    even = worst_step(scans, OdometryConfig(preprocess=PreprocessConfig(intra_scan=False)))
     assert turn_deg < 0.6 * even[0]
 
 

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from tiny_world import ROOM, cast, lidar_rays, walk
 
+from hybridreg_ros.benchmark.pipelines import KissIcp
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import RegistrationError
-from hybridreg_ros.odometry.registration.kiss import KissRegistration, PlainKissIcp
+from hybridreg_ros.odometry.registration.kiss import KissRegistration
 
 POSES = walk(3)
 CLOUDS = [cast(ROOM, T, lidar_rays(), seed=k)[0] for k, T in enumerate(POSES)]
@@ -53,7 +54,7 @@ def test_rebuild_replaces_the_map() -> None:
 
 @pytest.mark.parametrize('times', [None, 'equal', 'nan', 'short', 'empty', 'good'], ids=str)
 def test_plain_kiss_icp_survives_any_times(times: str | None) -> None:
-    plain = PlainKissIcp(0.15, 20.0)
+    plain = KissIcp(0.15, 20.0)
     for cloud in CLOUDS:
         n = len(cloud)
         given = {
@@ -69,7 +70,7 @@ def test_plain_kiss_icp_survives_any_times(times: str | None) -> None:
 
 
 def test_plain_kiss_icp_keeps_its_pose_on_empty_clouds() -> None:
-    plain = PlainKissIcp(0.15, 20.0)
+    plain = KissIcp(0.15, 20.0)
     assert np.array_equal(plain.step(np.zeros((0, 3))), np.eye(4))
     for cloud in CLOUDS:
         last = plain.step(cloud)

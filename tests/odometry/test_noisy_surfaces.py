@@ -30,7 +30,7 @@ def far_wall(seed: int) -> np.ndarray:
 def test_far_wall_has_surfaces_when_points_count_by_what_was_measured(
     noisy: bool, least: float, most: float
 ) -> None:
-    local_map = LocalMap(SENSOR.voxel_size_m, 8.0, 20, 8.0, noisy)
+    local_map = LocalMap(SENSOR.voxel_size_m, 8.0, noisy)
     for seed in range(20):
         scan = far_wall(seed)
         local_map.update(scan, np.zeros(3), certainty(scan, SENSOR))

@@ -41,7 +41,7 @@ def test_every_number_has_a_range_and_every_field_a_description() -> None:
         ({'voxel_size_m': -0.1}, 'voxel_size_m: expected >= 0.0, found -0.1'),
         ({'registrar': 'magic'}, "registrar: expected one of hybridreg, kiss-icp, found 'magic'"),
         ({'gate': {'enter': 2.0}}, 'gate.enter: expected <= 1.0, found 2.0'),
-        ({'map': {'sise': 1}}, 'unknown key map.sise; known keys: coarse_factor'),
+        ({'map': {'sise': 1}}, 'unknown key map.sise; known keys: reach_m'),
     ],
 )
 def test_wrong_values_are_refused_with_one_line(values: dict[str, object], message: str) -> None:

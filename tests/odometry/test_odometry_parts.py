@@ -14,12 +14,10 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.pages import has_pages
 from hybridreg_ros.core.scan import NS_PER_S, Scan
 from hybridreg_ros.odometry.config import (
-    GateConfig,
     InputConfig,
     KeyframeConfig,
     OdometryConfig,
     PreprocessConfig,
-    RefineConfig,
 )
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.intake import Intake
@@ -192,7 +190,7 @@ def test_preprocess_limits_ranges_and_thins_in_nested_steps() -> None:
 
 
 def filled_map(voxel_m: float = 0.15) -> LocalMap:
-    local_map = LocalMap(voxel_m, 50.0, 20, 8.0)
+    local_map = LocalMap(voxel_m, 50.0)
     local_map.update(CLOUD.astype(np.float64), np.zeros(3))
     return local_map
 
@@ -208,7 +206,7 @@ def filled_map(voxel_m: float = 0.15) -> LocalMap:
 def test_refinement_comes_back_from_an_offset(basin: Basin, offset: list[float]) -> None:
     guess = se3.exp(np.array(offset))
     points = cast(ROOM, pose(-1.0, -0.5, 0.0), lidar_rays(360, 40), seed=5)[0][::3]
-    fit = align(points, guess, filled_map(), RefineConfig(max_iterations=40), basin=basin)
+    fit = align(points, guess, filled_map(), basin=basin)
     assert np.linalg.norm(fit.T_odom_sensor[:3, 3]) < 0.003
     assert se3.rotation_angle_deg(fit.T_odom_sensor[:3, :3]) < 0.05
     assert fit.overlap > 0.9
@@ -220,7 +218,7 @@ def test_refinement_ignores_points_of_no_weight() -> None:
     local_map.update(intruder + 0.1, np.zeros(3))
     points = np.concatenate([CLOUD[::5], intruder]).astype(np.float32)
     weights = np.r_[np.ones(len(CLOUD[::5])), np.zeros(len(intruder))]
-    fit = align(points, np.eye(4), local_map, RefineConfig(), weights, 'fine')
+    fit = align(points, np.eye(4), local_map, weights, 'fine')
     assert np.linalg.norm(fit.T_odom_sensor[:3, 3]) < 0.002
 
 
@@ -231,15 +229,15 @@ def test_corridor_leaves_its_axis_uncertain() -> None:
     walls[::2, 1] = np.sign(side[::2, 1])
     walls[1::2, 2] = np.sign(side[1::2, 2])
     walls += rng.normal(0.0, 0.003, walls.shape)
-    local_map = LocalMap(0.15, 50.0, 20, 8.0)
+    local_map = LocalMap(0.15, 50.0)
     local_map.update(walls, np.zeros(3))
-    fit = assess(walls[5::11].astype(np.float32), np.eye(4), local_map, RefineConfig())
+    fit = assess(walls[5::11].astype(np.float32), np.eye(4), local_map)
     spread = np.sqrt(np.diag(covariance.of_pose(fit.information, 1.0)))
     assert spread[0] > 10.0 * max(spread[1], spread[2])
 
 
 def test_map_forgets_what_is_out_of_reach_and_erases_what_moved() -> None:
-    local_map = LocalMap(0.2, 10.0, 20, 8.0)
+    local_map = LocalMap(0.2, 10.0)
     for k in range(30):
         place = np.array([2.0 * k, 0.0, 0.0])
         local_map.update(CLOUD.astype(np.float64) + place, place)
@@ -313,15 +311,14 @@ def test_confidence_orders_evidence_and_judges_faults() -> None:
     assert (
         worst_axis(1e-5) == worst_axis(0.003) < worst_axis(0.03) == pytest.approx(-1.523, abs=1e-3)
     )
-    gate = GateConfig()
     far = pose(30.0, 0.0, 0.0)
     at = np.eye(4)
-    assert judge(good, at, at, 0.1, 0.1, gate).fault is None
-    assert judge(poor, far, at, 0.1, 0.1, gate).fault is Reason.DISAGREES_WITH_MOTION
-    assert judge(good, far, at, 0.1, 0.1, gate).fault is None
-    assert judge(PoseEvidence(0.1, 0.9, 0.9), at, at, 0.1, 0.1, gate).fault is Reason.NO_OVERLAP
+    assert judge(good, at, at, 0.1, 0.1, 0.0).fault is None
+    assert judge(poor, far, at, 0.1, 0.1, 0.0).fault is Reason.DISAGREES_WITH_MOTION
+    assert judge(good, far, at, 0.1, 0.1, 0.0).fault is None
+    assert judge(PoseEvidence(0.1, 0.9, 0.9), at, at, 0.1, 0.1, 0.0).fault is Reason.NO_OVERLAP
     hanging = PoseEvidence(0.9, 0.9, 0.1)
-    assert judge(hanging, at, at, 0.1, 0.1, gate).fault is Reason.REFINEMENT_FAILED
+    assert judge(hanging, at, at, 0.1, 0.1, 0.0).fault is Reason.REFINEMENT_FAILED
 
 
 def test_intake_rebases_only_on_a_steady_new_time_base() -> None:

@@ -20,7 +20,7 @@ def test_is_the_best_of_the_planar_poses(rng):
     J = rng.normal(size=(40, 6)) * [30.0, 20.0, 40.0, 90.0, 80.0, 50.0]
     information = J.T @ J
     T = se3.transform(se3.so3_exp(0.4 * up + rng.normal(0.0, 1e-3, 3)), flat + 2e-3 * up)
-    fit = in_plane(Fit(T, information, 0.9, 0.02, True, np.eye(6)), up)
+    fit = in_plane(Fit(T, information, 0.9, np.eye(6)), up)
 
     along = np.linalg.svd(up[None])[2][1:]
 
@@ -48,9 +48,7 @@ def test_what_the_points_do_not_hold_does_no_harm(rank):
     information = np.zeros((6, 6))
     information[:rank, :rank] = 1e6 * np.eye(rank)
     T = se3.exp(np.array([0.1, 0.2, 0.01, 0.01, -0.01, 0.3]))
-    pose = in_plane(
-        Fit(T, information, 0.1, 0.02, True, np.eye(6)), np.array([0.0, 0.0, 1.0])
-    ).T_odom_sensor
+    pose = in_plane(Fit(T, information, 0.1, np.eye(6)), np.array([0.0, 0.0, 1.0])).T_odom_sensor
     np.testing.assert_allclose(pose[2, 3], 0.0, atol=1e-9)
     np.testing.assert_allclose(pose[2, :3], [0.0, 0.0, 1.0], atol=1e-3)
     assert np.isfinite(pose).all()

@@ -41,7 +41,7 @@ def moved(x: float, degrees: float) -> np.ndarray:
 
 
 def candidate(T: np.ndarray, confidence: float) -> Candidate:
-    fit = Fit(T, np.eye(6), 1.0, 0.01, True, 1e-6 * np.eye(6))
+    fit = Fit(T, np.eye(6), 1.0, 1e-6 * np.eye(6))
     return Candidate(fit, PoseEvidence(1.0, 1.0, 1.0), Verdict(confidence, None), T)
 
 

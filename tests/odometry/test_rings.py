@@ -70,7 +70,7 @@ def test_one_ring_is_no_surface_and_two_rings_of_a_wall_are() -> None:
     one *= 1.0 + rng.normal(0.0, 0.004, (len(y), 1))  # noise along the beam
     for rings, least, most in (([one], 0.0, 0.0), ([one, one * [1.0, 1.0, 0.3]], 0.9, 1.0)):
         wall = np.concatenate(rings)
-        local_map = LocalMap(0.2, 100.0, 20, 8.0)
+        local_map = LocalMap(0.2, 100.0)
         local_map.update(wall, np.zeros(3))
         found = Surfaces(len(wall))
         found.search(wall, np.eye(4), local_map.of_surfaces, local_map.updates)
@@ -80,7 +80,7 @@ def test_one_ring_is_no_surface_and_two_rings_of_a_wall_are() -> None:
 def test_ground_between_far_rings_is_a_surface() -> None:
     scan = ring_scan(0.0, 1, np.zeros((0, 3)))
     ground = scan[np.hypot(scan[:, 0], scan[:, 1]) < 7.0]  # rings 0.7 to 1.4 m apart
-    local_map = LocalMap(0.15, 100.0, 20, 8.0)
+    local_map = LocalMap(0.15, 100.0)
     local_map.update(scan, np.zeros(3))
     found = Surfaces(len(ground))
     found.search(ground.astype(np.float64), np.eye(4), local_map.of_surfaces, local_map.updates)
@@ -92,7 +92,7 @@ def test_ground_between_far_rings_is_a_surface() -> None:
 def test_points_between_far_rings_are_paired_with_the_wall_that_these_show() -> None:
     y = np.arange(-6.0, 6.0, 0.05)
     wall = np.concatenate([np.c_[np.full_like(y, 20.0), y, np.full_like(y, z)] for z in RINGS_M])
-    local_map = LocalMap(0.2, 100.0, 20, 8.0)
+    local_map = LocalMap(0.2, 100.0)
     local_map.update(wall, np.zeros(3))
     between = wall[np.abs(wall[:, 1]) < 5.0] + [0.0, 0.0, 0.35]  # half way to the next ring
     found = Surfaces(len(between))

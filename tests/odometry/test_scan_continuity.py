@@ -15,7 +15,7 @@ from tiny_world import ROOM, cast, lidar_rays, pose
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import NS_PER_S, Scan
-from hybridreg_ros.odometry.config import OdometryConfig, RefineConfig
+from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.map.local_map import LocalMap
 from hybridreg_ros.odometry.motion.intra_scan_motion import NO_INTRA_SCAN_MOTION, IntraScanMotion
@@ -132,15 +132,13 @@ def test_a_nod_that_scan_and_map_share_is_not_taken_for_motion() -> None:
     nod = IntraScanMotion(np.array([0.0, 0.0, 0.0, 0.0, -0.4, 0.0]), np.zeros(6))
     still = cast(ROOM, HERE, lidar_rays(240, 30), seed=4)[0].astype(np.float64)
     times = TIMES - MIDDLE
-    local_map = LocalMap(0.15, 50.0, 20, 8.0)
+    local_map = LocalMap(0.15, 50.0)
     local_map.update(nod.undo(still, times), np.zeros(3))  # as if a nod had been undone
     points = sweep(lambda t: HERE, seed=3)[::20]  # the sensor stands
     expected = Expected(np.eye(4), 0.02, 0.005, 0.1, np.full(3, 0.3))
     begun = replace(expected, start=Start(-MIDDLE, np.eye(4), 0.0015, np.deg2rad(0.03)))
     found = [
-        align(
-            points, np.eye(4), local_map, RefineConfig(), times=times[::20], prior=prior
-        ).intra_scan
+        align(points, np.eye(4), local_map, times=times[::20], prior=prior).intra_scan
         for prior in (expected, begun)
     ]
     assert found[0] is not None
@@ -151,10 +149,10 @@ def test_a_nod_that_scan_and_map_share_is_not_taken_for_motion() -> None:
 
 def test_the_reported_pose_is_less_sure_the_farther_it_is_carried() -> None:
     still = cast(ROOM, HERE, lidar_rays(480, 60), seed=4)[0].astype(np.float64)
-    local_map = LocalMap(0.15, 50.0, 20, 8.0)
+    local_map = LocalMap(0.15, 50.0)
     local_map.update(still, np.zeros(3))
     points = sweep(lambda t: HERE, seed=3)
-    fit = align(points, np.eye(4), local_map, RefineConfig(), times=TIMES - MIDDLE)
+    fit = align(points, np.eye(4), local_map, times=TIMES - MIDDLE)
     spreads = [covariance.of_fit(fit, s, 1.0) for s in (0.0, -0.02, -0.05)]
     sizes = [covariance.weakest_m(spread) for spread in spreads]
     assert sizes[0] < sizes[1] < sizes[2]

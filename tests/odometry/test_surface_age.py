@@ -4,18 +4,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from hybridreg_ros.core.scan import NS_PER_S
-from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.map.local_map import LocalMap
+from hybridreg_ros.odometry.registration import alignment
 from hybridreg_ros.odometry.registration.alignment import align, by_age
 from hybridreg_ros.odometry.registration.surfaces import Surfaces
 
-CONFIG = OdometryConfig().refine
 VOXEL_M = 0.05
 
 
@@ -37,7 +34,7 @@ def surfaces(born: np.ndarray) -> Surfaces:
 
 def test_old_surfaces_hold_and_new_ones_hardly_do() -> None:
     born = np.repeat([0.0, 9.5, 9.75, 10.0], 100)
-    weight = by_age(np.full(400, 0.9), surfaces(born), 10.0, CONFIG)
+    weight = by_age(np.full(400, 0.9), surfaces(born), 10.0)
     per_kind = weight.reshape(4, 100)
     assert (per_kind == per_kind[:, :1]).all()
     np.testing.assert_allclose(per_kind[:, 0], [0.9, 0.9, 0.9 * 0.55, 0.09], rtol=1e-6)
@@ -46,22 +43,22 @@ def test_old_surfaces_hold_and_new_ones_hardly_do() -> None:
 def test_only_differences_of_age_count() -> None:
     trust = np.linspace(0.6, 1.0, 200)
     for born in (np.full(200, 10.0), np.zeros(200)):
-        np.testing.assert_array_equal(by_age(trust, surfaces(born), 10.0, CONFIG), trust)
-    young_map = by_age(trust, surfaces(np.repeat([0.0, 0.1], 100)), 0.1, CONFIG)
+        np.testing.assert_array_equal(by_age(trust, surfaces(born), 10.0), trust)
+    young_map = by_age(trust, surfaces(np.repeat([0.0, 0.1], 100)), 0.1)
     np.testing.assert_allclose(young_map[:100], trust[:100])
     np.testing.assert_allclose(young_map[100:], 0.1 * trust[100:])
-    np.testing.assert_array_equal(by_age(trust, surfaces(np.zeros(200)), 0.0, CONFIG), trust)
+    np.testing.assert_array_equal(by_age(trust, surfaces(np.zeros(200)), 0.0), trust)
 
 
 def test_points_without_trust_or_surface_do_not_decide() -> None:
     found = surfaces(np.repeat([0.0, 10.0], [300, 60]))
     found.kind[:100] = 0
     trust = np.repeat([1.0, 0.0, 1.0], [100, 200, 60])
-    np.testing.assert_array_equal(by_age(trust, found, 10.0, CONFIG), trust)
+    np.testing.assert_array_equal(by_age(trust, found, 10.0), trust)
 
 
 def test_the_map_remembers_when_places_were_first_seen() -> None:
-    local_map = LocalMap(VOXEL_M, 8.0, 20, 8.0)
+    local_map = LocalMap(VOXEL_M, 8.0)
     for second in range(4):
         points = wall(2.0, 1.0, second)
         if second >= 2:
@@ -78,7 +75,7 @@ def test_the_map_remembers_when_places_were_first_seen() -> None:
 
 
 def test_the_clock_of_the_map_never_goes_back() -> None:
-    local_map = LocalMap(VOXEL_M, 8.0, 20, 8.0)
+    local_map = LocalMap(VOXEL_M, 8.0)
     for stamp_s in (100, 101, 5, 6, 8):
         local_map.update(wall(2.0, 1.0), np.zeros(3), None, stamp_s * NS_PER_S)
     assert local_map.age_s == pytest.approx(4.0)
@@ -88,24 +85,26 @@ def test_the_clock_of_the_map_never_goes_back() -> None:
     assert local_map.age_s == 0.0
 
 
-def drawn_along_m(mature_s: float, stands: int) -> float:
+def drawn_along_m(stands: int) -> float:
     """How far a standing sensor is drawn by a nearer wall that leaves, known to nobody.
 
     It stands for some scans, then moves at 0.5 m/s, and has as many points as the one that stays.
     """
-    config, local_map = replace(CONFIG, mature_s=mature_s), LocalMap(VOXEL_M, 8.0, 20, 8.0)
-    pose = np.eye(4)
+    pose, local_map = np.eye(4), LocalMap(VOXEL_M, 8.0)
     for k in range(30):
         gone = 0.05 * max(0, k - stands)
         points = np.concatenate([wall(3.0, 1.0, k), wall(1.5 + gone, 1.0, k + 100, 1.2)])
         if k > 0:
-            pose = align(points, pose, local_map, config, basin='fine').T_odom_sensor
+            pose = align(points, pose, local_map, basin='fine').T_odom_sensor
         moved = points @ pose[:3, :3].T + pose[:3, 3]
         local_map.update(moved, pose[:3, 3], None, k * NS_PER_S // 10)
     return float(abs(pose[0, 3]))
 
 
 @pytest.mark.parametrize('stands', [0, 10])
-def test_an_unknown_mover_does_not_draw_the_pose_along(stands: int) -> None:
-    assert drawn_along_m(0.0, stands) > 0.2
-    assert drawn_along_m(CONFIG.mature_s, stands) < 0.01
+def test_an_unknown_mover_does_not_draw_the_pose_along(
+    stands: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert drawn_along_m(stands) < 0.01
+    monkeypatch.setattr(alignment, '_MATURE_S', 0.0)
+    assert drawn_along_m(stands) > 0.2

@@ -364,7 +364,7 @@ def test_live_recorder_joins_messages_of_any_order_and_thread(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize('name', ['kiss-icp', 'genz-icp', 'small-gicp'])
-def test_rival_alone_moves_with_the_sensor(room_bag: Path, name: str) -> None:
+def test_baseline_alone_moves_with_the_sensor(room_bag: Path, name: str) -> None:
     from hybridreg_ros.benchmark.baseline import Alone
     from hybridreg_ros.replay import runner
 
@@ -380,9 +380,9 @@ def test_rival_alone_moves_with_the_sensor(room_bag: Path, name: str) -> None:
     assert np.linalg.norm(moved[:3, 3] - true_move[:3, 3]) < 0.1
 
 
-def test_unknown_rival_is_an_error() -> None:
+def test_unknown_baseline_is_an_error() -> None:
     from hybridreg_ros.benchmark.baseline import Alone
     from hybridreg_ros.core.errors import ConfigError
 
-    with pytest.raises(ConfigError, match='rival: expected kiss-icp, genz-icp or small-gicp'):
+    with pytest.raises(ConfigError, match='baseline: expected kiss-icp, genz-icp or small-gicp'):
         Alone('magic')

@@ -21,7 +21,7 @@ from hybridreg_ros.benchmark import (
     suite_run,
     suite_table,
 )
-from hybridreg_ros.benchmark.rivals import GenzIcp, GicpToKeyframe
+from hybridreg_ros.benchmark.pipelines import GenzIcp, GicpToKeyframe
 from hybridreg_ros.benchmark.suite_data import SuiteFrame
 from hybridreg_ros.benchmark.suite_list import METHODS, SEQUENCES, STRIDES, chosen
 from hybridreg_ros.cli.main import main
@@ -106,7 +106,7 @@ def test_a_step_out_and_back_is_one_wrong_pose_and_two_wrong_steps() -> None:
     assert scores['path_m'] == pytest.approx(0.5)
 
 
-def test_rival_is_compared_at_the_instant_that_suits_it() -> None:
+def test_baseline_is_compared_at_the_instant_that_suits_it() -> None:
     frames = [frame(k, 0.1 * k**1.5) for k in range(6)]
     times = np.linspace(0.0, 0.08, 400)
     frames = [replace(f, scan=replace(f.scan, times=times)) for f in frames]
@@ -291,7 +291,7 @@ def test_predictions_are_off_only_in_jolted_runs(monkeypatch: pytest.MonkeyPatch
     class Noticed(HybridOdometry):
         def __init__(self, *args: Any, **settings: Any) -> None:
             super().__init__(*args, **settings)
-            made.append((self._motion, self.config.fallback.sure))
+            made.append((self._motion, self.config.gate.sure))
 
     monkeypatch.setattr(suite_fit, 'HybridOdometry', Noticed)
     sequence = chosen('dev', ['dev-room-501'])[0]
@@ -310,7 +310,7 @@ def test_distinct_leaves_repetitions_out() -> None:
 
     def at(x: float) -> Candidate:
         pose = se3.transform(np.eye(3), np.array([x, 0.0, 0.0]))
-        fit = Fit(pose, np.eye(6), 1.0, 0.1, True, 1e-6 * np.eye(6))
+        fit = Fit(pose, np.eye(6), 1.0, 1e-6 * np.eye(6))
         return Candidate(fit, PoseEvidence(1.0, 1.0, 1.0), Verdict(1.0, None), fit.T_odom_sensor)
 
     assert len(suite_fit._distinct([at(0.0), at(0.002), at(0.5), at(0.501)])) == 2
@@ -386,13 +386,13 @@ def test_every_method_has_a_front_end() -> None:
 
 
 @pytest.mark.parametrize(
-    ('rival', 'module'), [(GenzIcp, 'genz_icp'), (GicpToKeyframe, 'small_gicp')]
+    ('pipeline', 'module'), [(GenzIcp, 'genz_icp'), (GicpToKeyframe, 'small_gicp')]
 )
-def test_a_missing_rival_names_the_extra(rival, module, monkeypatch) -> None:
+def test_a_missing_baseline_names_the_extra(pipeline, module, monkeypatch) -> None:
     for name in [m for m in sys.modules if m.split('.')[0] == module] + [module]:
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(DependencyError, match=r"pip install 'hybridreg_ros\[bench\]'"):
-        rival(0.1, 10.0, 0.1)
+        pipeline(0.1, 10.0, 0.1)
 
 
 def _samples(name: str, rng: np.random.Generator, count: int) -> suite_confidence.ReportedSamples:

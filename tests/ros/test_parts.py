@@ -47,7 +47,7 @@ SETTING = Setting(
     starting='',
     waiting_for='',
     guides={},
-    rivals=0,
+    twins=0,
     queue=0,
     tf='on',
 )

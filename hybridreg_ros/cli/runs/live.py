@@ -22,8 +22,10 @@ if TYPE_CHECKING:
     from hybridreg_ros.metrics.trajectory import Trajectory
     from hybridreg_ros.replay.page.report import ReportRun
 
-OFFLINE = ('stride', 'max_frames', 'start', 'duration', 'time_unit', 'time_field', 'weights')
-OFFLINE += ('no_clouds', 'map', 'moving', 'video', 'rerun')
+OFFLINE = (
+    *('stride', 'max_frames', 'start', 'duration', 'time_unit', 'time_field', 'weights'),
+    *('no_clouds', 'map', 'moving', 'video', 'rerun'),
+)
 """Options that only an offline replay has."""
 
 

@@ -16,6 +16,10 @@ from hybridreg_ros.odometry.map.voxel_map import VoxelTable
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+POINTS_PER_VOXEL = 20
+"""Stored points of a cube at most."""
+_COARSE = 8.0
+"""Edge of a coarse cube in fine ones."""
 _START_VOXELS = 1 << 13
 _START_POINTS = 1 << 15
 
@@ -143,8 +147,6 @@ class LocalMap:
     Args:
         voxel_size_m: edge of a fine cube.
         reach_m: farther points are forgotten.
-        points_per_voxel: most points kept per cube.
-        coarse_factor: edge of a coarse cube in fine ones.
         noisy: whether the noise grows with the range, as that of a depth camera. Then surfaces are
             fitted to stored points by their mass. Rings of a lidar pile up mass where they lie by
             chance.
@@ -160,13 +162,11 @@ class LocalMap:
         self,
         voxel_size_m: float,
         reach_m: float,
-        points_per_voxel: int,
-        coarse_factor: float,
         noisy: bool = False,
     ) -> None:
-        sizes = (voxel_size_m * coarse_factor**power for power in (0.0, 0.5, 1.0))
+        sizes = (voxel_size_m * _COARSE**power for power in (0.0, 0.5, 1.0))
         self.fine, self.middle, self.coarse = (
-            VoxelLevel(size, points_per_voxel, noisy) for size in sizes
+            VoxelLevel(size, POINTS_PER_VOXEL, noisy) for size in sizes
         )
         self.noisy = noisy
         self._reach_m = reach_m

@@ -19,7 +19,6 @@ from hybridreg_ros.odometry.registration.surfaces import Surfaces
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hybridreg_ros.odometry.config import RefineConfig
     from hybridreg_ros.odometry.map.local_map import LocalMap, VoxelLevel
     from hybridreg_ros.odometry.motion.prediction import Expected
     from hybridreg_ros.odometry.preprocessed import PreprocessedScan
@@ -28,6 +27,18 @@ if TYPE_CHECKING:
 
 Basin = Literal['coarse', 'middle', 'near', 'fine']
 
+_ITERATIONS, _INTRA_SCAN_ITERATIONS = 15, 6
+_STILL = 0.03
+"""The iteration ends when a step is smaller than this, in voxels."""
+_START, _SHRINK, _LEAST = 0.5, 0.6, 0.02
+"""Robust scale on a coarser level at first, factor on it per iteration, and its floor, voxels."""
+_COARSE_POINTS = 1500
+"""Points that are enough on a coarser level."""
+_LOOSE = 0.02
+"""Share of the information of surfaces that face all ways that errors of normals alone give."""
+_MATURE_S, _YOUNG = 0.5, 0.1
+"""Time after which a surface has full weight, and the weight of one that is new
+(docs/lab/2026-11-23-old-surfaces-hold.md)."""
 _POINT_SPREAD = 5.0
 """Standard deviation of a point-to-point residual, in voxels: such pairs follow the pattern of the
 rings rather than the surface, so they only hold what planes leave free."""
@@ -40,10 +51,11 @@ lidar that turns back at once is lost for 35 instead of 4 scans of 44."""
 
 
 class _Schedule(NamedTuple):
-    """Course of an alignment: its first robust scale, in voxels, and the step that ends it."""
+    """Course of an alignment: first robust scale, voxels; step that ends it; most rounds."""
 
     scale: float
     enough_m: float = 0.0
+    rounds: int = _ITERATIONS
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +67,6 @@ class Fit:
         information: (6, 6) of the pose error (x y z, turn about the sensor; odom axes), 1/m^2 and
             1/rad^2; zero where nothing was found.
         overlap: share of the points with a surface of the map nearby, [0, 1].
-        scale_m: robust standard deviation of the plane residuals, metres.
-        converged: False when the iterations ended while the pose still moved.
         cluster_covariance: (6, 6) covariance of the pose error by how much the parts of the scan
             disagree, m^2 and rad^2, same axes (`cluster_covariance`).
         intra_scan: motion during the scan that its deskew did not undo, when it was asked for.
@@ -67,8 +77,6 @@ class Fit:
     T_odom_sensor: NDArray[np.float64]
     information: NDArray[np.float64]
     overlap: float
-    scale_m: float
-    converged: bool
     cluster_covariance: NDArray[np.float64]
     intra_scan: IntraScanMotion | None = None
     unheld: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 6)))
@@ -78,7 +86,6 @@ def align(
     points: NDArray[np.floating],
     T_odom_sensor: NDArray[np.float64],
     local_map: LocalMap,
-    config: RefineConfig,
     weights: NDArray[np.floating] | None = None,
     basin: Basin = 'coarse',
     times: NDArray[np.float64] | None = None,
@@ -90,7 +97,6 @@ def align(
         points: (N, 3), sensor frame, metres, thinned.
         T_odom_sensor: (4, 4) first guess.
         local_map: the map.
-        config: settings.
         weights: (N,) trust per point in [0, 1] (1 - P(dynamic)), or None for all equal.
         basin: level to start on: the coarser, the farther off the guess may be; 'near' = the
             middle one, until it is near.
@@ -101,19 +107,19 @@ def align(
     """
     start = T_odom_sensor
     if basin != 'fine':
-        start = pull_in(points, T_odom_sensor, local_map, config, weights, basin)
+        start = pull_in(points, T_odom_sensor, local_map, weights, basin)
     points, trust = _prepared(points, weights)
-    floor = 4.0 * config.min_scale if basin == 'fine' else 0.4 * config.start_scale
+    floor = 4.0 * _LEAST if basin == 'fine' else 0.4 * _START
     levels = local_map.of_surfaces
     T, converged, surfaces = _iterate(
-        points, trust, start, levels, local_map, config, _Schedule(floor), prior
+        points, trust, start, levels, local_map, _Schedule(floor), prior
     )
-    if times is None or not config.intra_scan:
+    if times is None:
         if converged:  # it stands where it was paired last
-            return _assessed(points, trust, T, surfaces, local_map, config, converged)
-        return assess(points, T, local_map, config, weights, converged)
-    T, found = _with_intra_scan_motion(points, times, trust, T, local_map, config, prior)
-    fit = assess(found.undo(points, times), T, local_map, config, weights, converged)
+            return _assessed(points, trust, T, surfaces, local_map)
+        return assess(points, T, local_map, weights)
+    T, found = _with_intra_scan_motion(points, times, trust, T, local_map, prior)
+    fit = assess(found.undo(points, times), T, local_map, weights)
     return replace(fit, intra_scan=found)
 
 
@@ -123,17 +129,16 @@ def _with_intra_scan_motion(
     trust: NDArray[np.float64],
     T: NDArray[np.float64],
     local_map: LocalMap,
-    config: RefineConfig,
     prior: Expected | None,
 ) -> tuple[NDArray[np.float64], IntraScanMotion]:
     """Pose and motion during the scan, from the pose of an even motion."""
     level, found, moved = local_map.fine, NO_INTRA_SCAN_MOTION, points
     surfaces, order = Surfaces(len(points)), _by_range(points)
     half_span = 0.5 * float(times.max() - times.min())
-    low = config.min_scale * level.size_m
-    for _ in range(config.intra_scan_iterations):
+    low = _LEAST * level.size_m
+    for _ in range(_INTRA_SCAN_ITERATIONS):
         surfaces.search(moved, T, local_map.of_surfaces, local_map.updates)
-        lasting = by_age(trust, surfaces, local_map.age_s, config)
+        lasting = by_age(trust, surfaces, local_map.age_s)
         step = 0.0
         for _ in range(2):
             surfaces.measure(moved, T)
@@ -151,7 +156,7 @@ def _with_intra_scan_motion(
                 scale,
                 (_POINT_SPREAD * level.size_m) ** 2,
             )
-            T, found, length = intra_scan_update.update(found, T, sums, half_span, config, prior)
+            T, found, length = intra_scan_update.update(found, T, sums, half_span, prior)
             moved = found.undo(points, times)
             step = max(step, length)
         if step < 0.02:
@@ -163,18 +168,22 @@ def pull_in(
     points: NDArray[np.floating],
     T_odom_sensor: NDArray[np.float64],
     local_map: LocalMap,
-    config: RefineConfig,
     weights: NDArray[np.floating] | None,
     basin: Basin,
+    rounds: int = 0,
 ) -> NDArray[np.float64]:
-    """Improve a guess on a coarser level with some of the points; arguments as `refine`."""
-    some = slice(None, None, max(1, len(points) // config.coarse_points))
+    """Improve a guess on a coarser level with some of the points; arguments as `align`.
+
+    Given a number of rounds, it makes so few, with half as many points.
+    """
+    most = _COARSE_POINTS // 2 if rounds else _COARSE_POINTS
+    some = slice(None, None, max(1, len(points) // most))
     points, trust = _prepared(points[some], None if weights is None else weights[some])
     level = local_map.coarse if basin == 'coarse' else local_map.middle
     levels = (level, local_map.coarse, local_map.coarse)
     enough_m = _NEAR * local_map.fine.size_m if basin == 'near' else 0.0
-    course = _Schedule(config.start_scale, enough_m)
-    return _iterate(points, trust, T_odom_sensor, levels, local_map, config, course)[0]
+    course = _Schedule(_START, enough_m, rounds or _ITERATIONS)
+    return _iterate(points, trust, T_odom_sensor, levels, local_map, course)[0]
 
 
 def _prepared(
@@ -189,9 +198,7 @@ def assess(
     points: NDArray[np.floating],
     T_odom_sensor: NDArray[np.float64],
     local_map: LocalMap,
-    config: RefineConfig,
     weights: NDArray[np.floating] | None = None,
-    converged: bool = True,
 ) -> Fit:
     """Measure how well points sit in the map at a pose, without moving them.
 
@@ -199,14 +206,12 @@ def assess(
         points: (N, 3), sensor frame, metres.
         T_odom_sensor: (4, 4) the pose.
         local_map: the map.
-        config: settings.
         weights: (N,) trust per point in [0, 1], or None.
-        converged: passed on to the result.
     """
     points, trust = _prepared(points, weights)
     surfaces = Surfaces(len(points))
     surfaces.search(points, T_odom_sensor, local_map.of_surfaces, local_map.updates)
-    return _assessed(points, trust, T_odom_sensor, surfaces, local_map, config, converged)
+    return _assessed(points, trust, T_odom_sensor, surfaces, local_map)
 
 
 def _assessed(
@@ -215,30 +220,25 @@ def _assessed(
     T_odom_sensor: NDArray[np.float64],
     surfaces: Surfaces,
     local_map: LocalMap,
-    config: RefineConfig,
-    converged: bool,
 ) -> Fit:
     """How well points sit in the map, with their surfaces; arguments as `assess`."""
     level = local_map.fine
     surfaces.measure(points, T_odom_sensor)
-    scale = surfaces.scale(config.min_scale * level.size_m, level.size_m)
     # Point-to-point pairs follow the sampling, not the world: they say nothing about the error.
     planes = np.where(surfaces.kind == kernels.PLANE, trust, 0.0)
-    scales = surfaces.scales(_by_range(points), config.min_scale * level.size_m, level.size_m)
+    scales = surfaces.scales(_by_range(points), _LEAST * level.size_m, level.size_m)
     H, b, any_way = _system(points, planes, T_odom_sensor, surfaces, scales, level)
     by_clusters = cluster_covariance(
         points, planes, T_odom_sensor, surfaces, scales, H, level.size_m
     )
     loose = unheld(H, any_way)
-    H, _ = believed(H, b, any_way, config.loose)
+    H, _ = believed(H, b, any_way)
     usable = trust > 0.5
     paired = usable & (surfaces.kind != kernels.NONE)
     return Fit(
         T_odom_sensor=T_odom_sensor,
         information=H,
         overlap=float(paired.sum() / max(1, usable.sum())),
-        scale_m=scale,
-        converged=converged,
         cluster_covariance=by_clusters,
         unheld=loose,
     )
@@ -299,30 +299,27 @@ def unheld(H: NDArray[np.float64], any_way: NDArray[np.float64]) -> NDArray[np.f
 
 
 def believed(
-    H: NDArray[np.float64], b: NDArray[np.float64], any_way: NDArray[np.float64], loose: float
+    H: NDArray[np.float64], b: NDArray[np.float64], any_way: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The part of a Gauss-Newton system that surfaces really hold.
 
     Normals are off a little everywhere, and alike over many points (bent depth images, planes
     fitted to noise): so one bare wall seems to hold the motion along it, by the weight of
     thousands of points. The gradient of that is taken as an error with covariance
-    loose * (any_way - H), common to all points; where H is much larger, nothing changes.
+    _LOOSE * (any_way - H), common to all points; where H is much larger, nothing changes.
 
     Args:
         H: (6, 6) information; b (6,) gradient.
         b: (6,).
         any_way: (6, 6) information if every surface held all directions.
-        loose: share of it that is taken for error.
 
     Returns:
         Information (6, 6) and gradient (6,); the solution of the system alone stays the same.
     """
-    if loose == 0.0:
-        return H, b
     # Pairs of points are in H alone: where there are hardly any planes they set the units.
     unit = np.sqrt(np.maximum(np.maximum(np.diag(any_way), np.diag(H)), 1e-12))
     scaled = H / np.outer(unit, unit)
-    noise = scaled + loose * (any_way / np.outer(unit, unit) - scaled) + 1e-9 * np.eye(6)
+    noise = scaled + _LOOSE * (any_way / np.outer(unit, unit) - scaled) + 1e-9 * np.eye(6)
     part = np.linalg.solve(noise, np.column_stack([scaled, b / unit]))
     return (scaled @ part[:, :6]) * np.outer(unit, unit), (scaled @ part[:, 6]) * unit
 
@@ -333,7 +330,6 @@ def _iterate(
     T: NDArray[np.float64],
     levels: tuple[VoxelLevel, VoxelLevel, VoxelLevel],
     local_map: LocalMap,
-    config: RefineConfig,
     schedule: _Schedule,
     prior: Expected | None = None,
 ) -> tuple[NDArray[np.float64], bool, Surfaces]:
@@ -347,17 +343,17 @@ def _iterate(
     every = max(1, len(points) // _FIRST)
     reach = float(np.median(np.linalg.norm(points, axis=1))) if len(points) else 1.0
     some, weight, surfaces, order = _every(every, points, trust)
-    for _ in range(config.max_iterations):
+    for _ in range(schedule.rounds):
         surfaces.search(some, T, levels, local_map.updates)
-        lasting = by_age(weight, surfaces, local_map.age_s, config)
+        lasting = by_age(weight, surfaces, local_map.age_s)
         moved = 0.0
         for _ in range(2):
             surfaces.measure(some, T)
-            low = max(floor, config.min_scale) * level.size_m
+            low = max(floor, _LEAST) * level.size_m
             scale = surfaces.scales(order, low, level.size_m)
             H, b, any_way = _system(some, lasting, T, surfaces, scale, level)
             if prior is not None:
-                H, b = believed(H, b, any_way, config.loose)
+                H, b = believed(H, b, any_way)
                 held, pull = prior.pull(T)
                 H[np.arange(6), np.arange(6)] += held / every
                 b += pull / every
@@ -366,12 +362,12 @@ def _iterate(
             T[:3, :3] = se3.so3_exp(step[3:]) @ T[:3, :3]
             T[:3, 3] += step[:3]
             moved = max(moved, float(np.linalg.norm(step[:3]) + reach * np.linalg.norm(step[3:])))
-        last = floor < 2.0 * config.min_scale
-        if every == 1 and last and moved < config.convergence * level.size_m:
+        last = floor < 2.0 * _LEAST
+        if every == 1 and last and moved < _STILL * level.size_m:
             return se3.orthonormalise(T), True, surfaces
         if moved < schedule.enough_m:
             break
-        floor *= config.anneal
+        floor *= _SHRINK
         if every > 1 and last and moved < _CLOSE * level.size_m:
             every = 1
             some, weight, surfaces, order = _every(1, points, trust)
@@ -399,7 +395,7 @@ _FEW = 50
 """Of fewer points with surfaces, no quantile is taken."""
 
 
-def by_age(trust: F64, surfaces: Surfaces, age_s: float, config: RefineConfig) -> F64:
+def by_age(trust: F64, surfaces: Surfaces, age_s: float) -> F64:
     """Weights (N,) of points, lowered where the surfaces that they meet are young.
 
     A thing that moves without being known for it leaves new surfaces behind wherever it comes,
@@ -410,15 +406,14 @@ def by_age(trust: F64, surfaces: Surfaces, age_s: float, config: RefineConfig) -
     Args:
         trust: (N,) weights in [0, 1].
         surfaces: of N points, as searched last.
-        age_s: age of the map; while that is less than `mature_s`, its first surfaces count fully.
-        config: `mature_s` and `young`.
+        age_s: age of the map; while that is less than _MATURE_S, its first surfaces count fully.
     """
-    span_s = min(config.mature_s, age_s)
+    span_s = min(_MATURE_S, age_s)
     used = (surfaces.kind != NONE) & (trust > 0.5)
     if span_s <= 0.0 or used.sum() < _FEW:
         return trust
     share = np.clip((age_s - surfaces.born) / span_s, 0.0, 1.0)
-    weight = config.young + (1.0 - config.young) * share
+    weight = _YOUNG + (1.0 - _YOUNG) * share
     full = max(float(np.quantile(weight[used], _FULL)), 1e-6)
     lowered: F64 = trust * np.minimum(1.0, weight / full)
     return lowered
@@ -428,7 +423,6 @@ def align_scan(
     cloud: PreprocessedScan,
     T_odom_sensor: NDArray[np.float64],
     local_map: LocalMap,
-    config: RefineConfig,
     weights: NDArray[np.floating] | None = None,
     basin: Basin = 'fine',
     prior: Expected | None = None,
@@ -442,7 +436,6 @@ def align_scan(
         cloud: the preprocessed scan, K registered points.
         T_odom_sensor: (4, 4) first guess.
         local_map: the map.
-        config: settings.
         weights: (K,) trust per registered point in [0, 1], or None for all equal.
         basin: level to start on.
         prior: pose that the motion so far expects, or None.
@@ -450,5 +443,5 @@ def align_scan(
     share = cloud.icp_share
     held = None if prior is None else prior.widened(share**0.5, share**0.5)
     points, times = cloud.icp_points, cloud.icp_times
-    fit = align(points, T_odom_sensor, local_map, config, weights, basin, times, held)
+    fit = align(points, T_odom_sensor, local_map, weights, basin, times, held)
     return replace(fit, information=share * fit.information)

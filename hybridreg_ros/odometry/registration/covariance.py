@@ -29,6 +29,8 @@ _FIRST_SPEED = np.array([5.0, 1.75])
 _FREE = np.array([0.5, 0.175])
 """Standard deviation, metres and rad, of a pose along what nothing holds, next to one that was
 held: as much as that of a first prediction, about which nothing is known either."""
+_COASTING = 100.0
+"""Growth of the covariance per frame whose pose is only predicted."""
 _WEAK = 0.5
 """Share of a direction that must lie in the space that nothing holds."""
 
@@ -114,15 +116,14 @@ def weakest_m(covariance: F64) -> float:
     return float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
 
 
-def coasting(covariance: F64, factor: float, floor_m: float) -> F64:
+def coasting(covariance: F64, floor_m: float) -> F64:
     """Covariance (6, 6) of a pose that is only predicted from one of this covariance.
 
     Args:
         covariance: (6, 6) of the last pose.
-        factor: growth per frame.
         floor_m: at least this standard deviation is added (metres; radians too).
     """
-    grown: F64 = np.minimum(covariance * factor, _LARGEST_STD**2) + np.eye(6) * floor_m**2
+    grown: F64 = np.minimum(_COASTING * covariance, _LARGEST_STD**2) + np.eye(6) * floor_m**2
     return grown
 
 

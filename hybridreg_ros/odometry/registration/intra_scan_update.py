@@ -17,12 +17,17 @@ from hybridreg_ros.odometry.registration.kernels import NONE, PLANE
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hybridreg_ros.odometry.config import RefineConfig
     from hybridreg_ros.odometry.motion.prediction import Expected
 
     F64 = NDArray[np.float64]
 
 
+_SPEED, _TURN = 0.12, float(np.deg2rad(3.0))
+"""Standard deviation of the velocity within a scan about the predicted one, m/s, and of the
+angular velocity until its usual change is known, rad/s."""
+_FOLLOW = 0.35
+"""Standard deviation of the angular velocity from then on, relative to that change from scan to
+scan (docs/lab/2026-11-22-motion-during-a-scan.md)."""
 _TURNING = (np.deg2rad(0.4), np.deg2rad(18.0))
 """Limits of the standard deviation of the angular velocity within a scan, rad/s."""
 
@@ -32,7 +37,6 @@ def update(
     T_odom_sensor: F64,
     sums: tuple[F64, F64],
     half_span_s: float,
-    config: RefineConfig,
     prior: Expected | None = None,
 ) -> tuple[F64, IntraScanMotion, float]:
     """One Gauss-Newton step of pose and intra-scan motion.
@@ -42,7 +46,6 @@ def update(
         T_odom_sensor: (4, 4) the present pose at the instant of the cloud.
         sums: as `moments` gives them.
         half_span_s: half the duration of the scan, seconds.
-        config: how much the velocity may change during a scan.
         prior: pose that the motion so far expects, or None.
 
     Returns:
@@ -60,10 +63,10 @@ def update(
         weight, pull = prior.pull(T_odom_sensor)  # alike along all axes, so turning keeps it
         H[np.arange(6), np.arange(6)] += weight
         b[:6] += turn.T @ pull
-    turning = np.full(3, np.deg2rad(config.intra_scan_turn_deg))
-    if prior is not None and prior.turn_rate.any() and config.intra_scan_follow > 0.0:
-        turning = np.clip(config.intra_scan_follow * prior.turn_rate, *_TURNING)
-    spread = np.concatenate([np.full(3, config.intra_scan_speed), turning])
+    turning = np.full(3, _TURN)
+    if prior is not None and prior.turn_rate.any():
+        turning = np.clip(_FOLLOW * prior.turn_rate, *_TURNING)
+    spread = np.concatenate([np.full(3, _SPEED), turning])
     for order, known in ((1, intra_scan.rate), (2, intra_scan.bend)):
         weight = (half_span_s ** (order - 1) / spread) ** 2
         rows = np.arange(6 * order, 6 * order + 6)

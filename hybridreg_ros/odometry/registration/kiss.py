@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The only door to kiss-icp, with guards for everything that makes it abort the process."""
+"""kiss-icp's registration, with guards for everything that makes it abort the process."""
 
 from __future__ import annotations
 
@@ -17,12 +17,16 @@ if TYPE_CHECKING:
 
     F64 = NDArray[np.float64]
 
-_MIN_POINTS = 10
-_LARGEST_COORDINATE_M = 1e6
-_NO_TIMES = np.zeros(0)
+MIN_POINTS = 10
+LARGEST_COORDINATE_M = 1e6
 
 
-def _require_kiss_icp() -> None:
+def require_kiss_icp() -> None:
+    """Say how to install it.
+
+    Raises:
+        DependencyError: kiss-icp is not installed.
+    """
     try:
         import kiss_icp  # noqa: F401
     except ImportError:
@@ -31,11 +35,11 @@ def _require_kiss_icp() -> None:
         ) from None
 
 
-def _guarded(points: NDArray[np.floating]) -> F64:
+def guarded(points: NDArray[np.floating]) -> F64:
     """Points that kiss-icp can take: (N, 3) float64, contiguous, finite, not absurdly far."""
     rows = np.ascontiguousarray(points, np.float64).reshape(-1, 3)
     with np.errstate(invalid='ignore'):
-        sane = (np.abs(rows) < _LARGEST_COORDINATE_M).all(axis=1)
+        sane = (np.abs(rows) < LARGEST_COORDINATE_M).all(axis=1)
     return rows if sane.all() else np.ascontiguousarray(rows[sane])
 
 
@@ -67,7 +71,7 @@ class KissRegistration:
         min_motion_m: float = 0.1,
         convergence: float = 1e-4,
     ) -> None:
-        _require_kiss_icp()
+        require_kiss_icp()
         from kiss_icp.mapping import VoxelHashMap
         from kiss_icp.registration import Registration
         from kiss_icp.threshold import AdaptiveThreshold
@@ -104,12 +108,12 @@ class KissRegistration:
             RegistrationError: too few points, an empty map, a guess that is no rigid transform,
                 or a pose that is not finite came out.
         """
-        usable = _guarded(points)
-        if len(usable) < _MIN_POINTS or self._map.empty():
+        usable = guarded(points)
+        if len(usable) < MIN_POINTS or self._map.empty():
             raise RegistrationError(
-                f'kiss-icp needs a map and {_MIN_POINTS} points, found {len(usable)} points'
+                f'kiss-icp needs a map and {MIN_POINTS} points, found {len(usable)} points'
             )
-        if not se3.is_rigid(guess) or np.abs(guess).max() > _LARGEST_COORDINATE_M:
+        if not se3.is_rigid(guess) or np.abs(guess).max() > LARGEST_COORDINATE_M:
             raise RegistrationError('kiss-icp: the first guess is not a rigid transform in range')
         sigma = self.threshold_m
         if not np.isfinite(sigma) or sigma <= 0.0:
@@ -131,72 +135,6 @@ class KissRegistration:
     def rebuild(self, points: NDArray[np.floating]) -> None:
         """Start again from the points (N, 3), odom frame, of the local map."""
         self._map.clear()
-        usable = _guarded(points)
+        usable = guarded(points)
         if len(usable):
             self._map.add_points(usable)
-
-
-class PlainKissIcp:
-    """kiss-icp as its authors ship it, with guards; the rival in comparisons, no part of ours.
-
-    Args:
-        voxel_size_m: its voxel size.
-        max_range_m: its range limit.
-        min_range_m: its lower range limit.
-        deskew: undo the motion during a scan when believable times are given.
-        threads: threads of one registration.
-
-    Raises:
-        DependencyError: kiss-icp is not installed.
-    """
-
-    def __init__(
-        self,
-        voxel_size_m: float,
-        max_range_m: float = 100.0,
-        min_range_m: float = 0.0,
-        deskew: bool = True,
-        threads: int = 1,
-    ) -> None:
-        _require_kiss_icp()
-        from kiss_icp.config import KISSConfig
-        from kiss_icp.config.config import (
-            AdaptiveThresholdConfig,
-            DataConfig,
-            MappingConfig,
-            RegistrationConfig,
-        )
-        from kiss_icp.kiss_icp import KissICP
-
-        # Every value is given: kiss-icp would take missing ones from environment variables.
-        self._deskew = deskew
-        self._kiss = KissICP(
-            KISSConfig(
-                data=DataConfig(max_range=max_range_m, min_range=min_range_m, deskew=deskew),
-                mapping=MappingConfig(voxel_size=voxel_size_m, max_points_per_voxel=20),
-                registration=RegistrationConfig(
-                    max_num_iterations=500, convergence_criterion=1e-4, max_num_threads=threads
-                ),
-                adaptive_threshold=AdaptiveThresholdConfig(
-                    fixed_threshold=None, initial_threshold=2.0, min_motion_th=0.1
-                ),
-            )
-        )
-
-    def step(self, points: NDArray[np.floating], times: F64 | None = None) -> F64:
-        """Pose T_odom_sensor (4, 4) after one more scan.
-
-        Args:
-            points: (N, 3), sensor frame, metres.
-            times: (N,) seconds of each point; used only when finite and not all equal.
-        """
-        usable = _guarded(points)
-        stamps = _NO_TIMES
-        if times is not None and self._deskew and len(times) == len(usable):
-            spread = np.isfinite(times).all() and times.max(initial=-np.inf) > times.min(
-                initial=np.inf
-            )
-            stamps = np.ascontiguousarray(times, np.float64) if spread else _NO_TIMES
-        if len(usable) >= _MIN_POINTS:
-            self._kiss.register_frame(usable, stamps)
-        return np.array(self._kiss.last_pose)

@@ -68,15 +68,8 @@ class Surfaces:
             self.residual,
         )
 
-    def scale(self, low: float, high: float) -> float:
-        """Robust standard deviation of the plane residuals, metres, clipped to [low, high]."""
-        planes = self.residual[self.kind == kernels.PLANE]
-        if len(planes) == 0:
-            return high
-        return float(np.clip(1.4826 * np.median(planes), low, high))
-
     def scales(self, order: NDArray[np.int64], low: float, high: float) -> NDArray[np.float64]:
-        """The same per point (N,), as it grows with the range: medians of groups by range.
+        """Robust standard deviation of plane residuals per point (N,), as it grows with the range.
 
         Args:
             order: (N,) rows of the points by range.

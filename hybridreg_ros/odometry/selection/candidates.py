@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hybridreg_ros.odometry.config import GateConfig
     from hybridreg_ros.odometry.motion.prediction import Expected
     from hybridreg_ros.odometry.registration.alignment import Fit
     from hybridreg_ros.odometry.selection.pose_confidence import PoseEvidence, Verdict
@@ -29,6 +28,10 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
+_FIRM = 0.2
+"""Largest standard deviation along the worst axis, voxels, of a scan that may change the map."""
+_KNOWN = 0.8
+"""Share of the points that must find the map for it to show the place already."""
 AGAINST = 3.0
 """Log odds that a pose loses per tenfold distance from the predicted one, beyond what is usual: as
 logistic models fitted to poses of development sequences have it (2.7 to 3.5)."""
@@ -61,11 +64,11 @@ class Located:
     rank: float = 0.0
     tentative: bool = False
 
-    def adds_to_map(self, gate: GateConfig, voxel_size_m: float) -> bool:
+    def adds_to_map(self, sure: float, voxel_size_m: float) -> bool:
         """Whether the scan enters the map: not in doubt or held loosely where the map shows it."""
-        firm = self.evidence.worst_axis <= worst_axis(gate.firm * voxel_size_m)
-        sure = self.confidence >= gate.write
-        return (sure and firm) or (not self.tentative and self.evidence.overlap < gate.known)
+        firm = self.evidence.worst_axis <= worst_axis(_FIRM * voxel_size_m)
+        known = self.evidence.overlap >= _KNOWN
+        return (self.confidence >= sure and firm) or not (self.tentative or known)
 
 
 @dataclass(frozen=True, eq=False)

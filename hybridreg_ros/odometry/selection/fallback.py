@@ -4,14 +4,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hybridreg_ros.core import se3
+from hybridreg_ros.odometry.map.local_map import POINTS_PER_VOXEL
 from hybridreg_ros.odometry.map.thinning import first_per_voxel
-from hybridreg_ros.odometry.registration.alignment import align_scan, assess, pull_in
+from hybridreg_ros.odometry.registration.alignment import align_scan, pull_in
 from hybridreg_ros.odometry.registration.kiss import KissRegistration
 
 if TYPE_CHECKING:
@@ -28,7 +28,11 @@ if TYPE_CHECKING:
 
     F64 = NDArray[np.float64]
 
+_THINNING, _MOST = 1.5, 2000
+"""Edge of the cubes of which kiss-icp gets a point each, in its voxels; and points at most."""
 _GUESS_POINTS = 400
+_TURNS_DEG, _SHIFTS, _SEARCHED = (20.0, 40.0, 60.0), (1.0, 2.0, 3.0), 3
+"""Guesses of a wide search: turns, shifts in coarse voxels, and how many are followed up."""
 _NEAREST = 0.2
 """Partners are looked for at least so far away (standard deviation, in voxels): stored points
 keep a distance from each other."""
@@ -53,20 +57,16 @@ class Fallback:
     """
 
     def __init__(self, config: OdometryConfig, sensor: SensorModel, local_map: LocalMap) -> None:
-        self._config = config
         self._map = local_map
         self._copied = -1
-        section = config.fallback
         voxel = self._voxel_m = local_map.middle.size_m
         self._kiss = KissRegistration(
             voxel,
             config.map.reach_m or sensor.max_range_m,
-            config.map.points_per_voxel,
-            section.max_iterations,
-            section.threads,
-            section.initial_threshold_m or 2.0 * voxel,
-            section.min_motion_m or 0.1 * voxel,
-            section.convergence * voxel,
+            POINTS_PER_VOXEL,
+            initial_threshold_m=2.0 * voxel,
+            min_motion_m=0.1 * voxel,
+            convergence=0.008 * voxel,
         )
 
     def follow(
@@ -132,10 +132,10 @@ class Fallback:
     ) -> F64:
         """Pose (4, 4) by kiss-icp alone."""
         self._copy_map()
-        points, section = cloud.icp_points, self._config.fallback
+        points = cloud.icp_points
         trusted = points if weights is None else points[weights > 0.5]
-        some = trusted[first_per_voxel(trusted, section.thinning * self._voxel_m)]
-        some = some[:: max(1, -(-len(some) // section.max_points))]
+        some = trusted[first_per_voxel(trusted, _THINNING * self._voxel_m)]
+        some = some[:: max(1, -(-len(some) // _MOST))]
         return self._kiss.align(some, guess, reach_m)
 
     def _refined(
@@ -151,15 +151,9 @@ class Fallback:
         It pairs points with points, so it lays the rings of a lidar on old rings. From there no
         surface of the fine level gets them off again; one of the coarse level does.
         """
-        points, settings = cloud.icp_points, self._config.refine
-        if not self._config.fallback.plane_icp:
-            return assess(points, pose, self._map, settings, weights)
         if basin == 'fine' and not self._map.noisy:
-            few = replace(
-                settings, max_iterations=_OFF_RINGS, coarse_points=settings.coarse_points // 2
-            )
-            pose = pull_in(points, pose, self._map, few, weights, 'coarse')
-        return align_scan(cloud, pose, self._map, settings, weights, basin, prior)
+            pose = pull_in(cloud.icp_points, pose, self._map, weights, 'coarse', _OFF_RINGS)
+        return align_scan(cloud, pose, self._map, weights, basin, prior)
 
     def _are_same(self, one: F64, other: F64) -> bool:
         """Whether the refinement leads from both poses to the same one."""
@@ -176,8 +170,7 @@ class Fallback:
     ) -> Fit:
         """Pose of a cloud in the map, from the best of the guesses, pulled in; as `follow`."""
         guess = self._ranked(cloud.icp_points, guesses)[0]
-        points, settings = cloud.icp_points, self._config.refine
-        near = pull_in(points, guess, self._map, settings, weights, 'coarse')
+        near = pull_in(cloud.icp_points, guess, self._map, weights, 'coarse')
         return self.follow(cloud, near, weights, 'middle', prior)
 
     def learn(self, predicted: F64, pose: F64) -> None:
@@ -197,13 +190,12 @@ class Fallback:
             cloud: the preprocessed scan.
             guess: (4, 4) centre of the search.
         """
-        section = self._config.fallback
         guesses = [guess]
-        for angle in section.turns_deg:
+        for angle in _TURNS_DEG:
             guesses += turned(guess, angle)
-        for cells in section.shifts:
+        for cells in _SHIFTS:
             guesses += shifted(guess, cells * self._map.coarse.size_m)
-        return self._ranked(cloud.icp_points, guesses)[: section.searched]
+        return self._ranked(cloud.icp_points, guesses)[:_SEARCHED]
 
     def _ranked(self, points: NDArray[np.float32], guesses: Sequence[F64]) -> list[F64]:
         """Guesses by how near to the map they bring the points, best first."""

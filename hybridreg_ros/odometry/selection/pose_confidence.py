@@ -15,12 +15,15 @@ from hybridreg_ros.odometry.selection import calibration
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from hybridreg_ros.odometry.config import GateConfig
-
-
 _STIFF_M = 0.003
 """Standard deviation, metres, below which a pose counts as held firmly."""
+_MIN_OVERLAP, _MIN_SEEN, _MIN_CONSISTENT = 0.2, 0.15, 0.15
+"""Shares of the points: least that find the map, lie in directions seen, and of those stand on
+what was seen; else a pose is not judged at all."""
+_AGAINST_MOTION = 0.75
+"""Confidence that a pose must reach beyond the reach of the motion."""
+_JUMP_DEG = 45.0
+"""Largest turn from the predicted orientation within that reach."""
 FIRM = float(np.log10(_STIFF_M))
 """`PoseEvidence.worst_axis` of a pose that is held firmly."""
 
@@ -86,7 +89,7 @@ def judge(
     predicted: NDArray[np.float64] | None,
     dt_s: float,
     voxel_size_m: float,
-    gate: GateConfig,
+    max_jump_m: float,
 ) -> Verdict:
     """Judge a pose by what it explains and by its agreement with the motion so far.
 
@@ -96,15 +99,15 @@ def judge(
         predicted: (4, 4) pose by constant velocity, None when the motion says nothing.
         dt_s: seconds since the last pose.
         voxel_size_m: voxel of the map.
-        gate: limits.
+        max_jump_m: reach of the motion, metres; 0 = by voxel and speed.
     """
-    if not (evidence.overlap >= gate.min_overlap and evidence.seen >= gate.min_seen):
+    if not (evidence.overlap >= _MIN_OVERLAP and evidence.seen >= _MIN_SEEN):
         return Verdict(0.0, Reason.NO_OVERLAP)
-    if not evidence.consistent >= gate.min_consistent:
+    if not evidence.consistent >= _MIN_CONSISTENT:
         return Verdict(0.0, Reason.REFINEMENT_FAILED)
     confidence = of_evidence(evidence)
-    surprising = predicted is not None and not agrees(pose, predicted, dt_s, voxel_size_m, gate)
-    if surprising and confidence < gate.against_motion:
+    near = predicted is None or agrees(pose, predicted, dt_s, voxel_size_m, max_jump_m)
+    if not near and confidence < _AGAINST_MOTION:
         return Verdict(0.0, Reason.DISAGREES_WITH_MOTION)
     return Verdict(confidence, None)
 
@@ -114,10 +117,10 @@ def agrees(
     predicted: NDArray[np.float64],
     dt_s: float,
     voxel_size_m: float,
-    gate: GateConfig,
+    max_jump_m: float,
 ) -> bool:
     """Whether a pose is within reach of the predicted one."""
     deviation = se3.inverse(predicted) @ pose
-    limit = gate.max_jump_m or 5.0 * voxel_size_m + 3.0 * max(dt_s, 0.0)
+    limit = max_jump_m or 5.0 * voxel_size_m + 3.0 * max(dt_s, 0.0)
     near = float(np.linalg.norm(deviation[:3, 3])) <= limit
-    return near and se3.rotation_angle_deg(deviation[:3, :3]) <= gate.max_jump_deg
+    return near and se3.rotation_angle_deg(deviation[:3, :3]) <= _JUMP_DEG

@@ -5,8 +5,8 @@
 Degenerate places (`hybridreg_ros/benchmark/places.py`): scans, wrong poses (more than 0.2 m or 2
 degrees off the true pose since the start) with confidence above the gate, share of errors within
 three standard deviations along every axis, position error at the end. Blackouts of 0.2 to 5 s in
-walks, two of each long sequence: back on the old map within five good scans, and wrong afterwards
-above the gate (right as the suite has it, since the last scan before).
+walks, two of each long sequence: back on the old map within five good scans (right as the suite
+has it, since the last scan before), and wrong afterwards above the gate.
 NEES of the position (three degrees of freedom, so 2.4 is the median of consistent covariances).
 
     python scripts/places_report.py                          # the ten places, minutes
@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.benchmark import suite_data
-from hybridreg_ros.benchmark.places import GATE, Score, all_places
+from hybridreg_ros.benchmark.places import GATE, WRONG_DEG, WRONG_M, Score, all_places
 from hybridreg_ros.benchmark.suite_list import SEQUENCES
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import NS_PER_S, Scan
@@ -94,7 +94,7 @@ def _through_dark(
 ) -> tuple[float, int, int]:
     """Good scans until a right pose, wrong ones above the gate, and good scans after a blackout.
 
-    Poses are right if they are so as seen from the last one before.
+    Poses are right or wrong as seen from the last one before.
     """
     odometry, moved, after, bad, good = HybridOdometry(), np.eye(4), np.inf, 0, 0
     until = frames[BEFORE - 1].scan.stamp + round(dark_s * NS_PER_S)
@@ -111,9 +111,9 @@ def _through_dark(
         good += 1
         off = se3.inverse(moved @ frame.T_world_sensor) @ result.pose
         far_m, far_deg = float(np.linalg.norm(off[:3, 3])), se3.rotation_angle_deg(off[:3, :3])
-        wrong = far_m > limits[0] or far_deg > limits[1]
-        bad += wrong and result.confidence >= GATE
-        after = after if wrong else min(after, good)
+        bad += (far_m > WRONG_M or far_deg > WRONG_DEG) and result.confidence >= GATE
+        if far_m <= limits[0] and far_deg <= limits[1]:
+            after = min(after, good)
         if good == AFTER:
             break
     return after, bad, good

@@ -58,7 +58,7 @@ POSE_ERROR, MOST_BENT = {'depth': (0.012, 0.004), 'lidar': (0.04, 0.003)}, 0.008
 """Largest standard deviations of poses, metres and radians, beside those of the front end, and
 largest share by which a depth camera is wrong."""
 HIDDEN = {'alone': (24, 12), 'in_context': (32, 16)}
-CELLS_A_SCAN, LITTLE, UNASKED = 1500, 0.01, 0.25
+CELLS_A_SCAN, LITTLE, UNASKED = 1500, 0.01, 0.4
 EPOCHS, BATCH, RATE, DECAY, HEAVIEST = 6, 2048, 4e-3, 1e-4, 50.0
 
 

@@ -75,7 +75,12 @@ def _is_due(surface, update):  # type: ignore[no-untyped-def]
 
 @compiled
 def _shares(i, voxel, grid, update):  # type: ignore[no-untyped-def]
-    """Let stored point i have the plane of another one of its voxel, if it lies on one."""
+    """Let stored point i have the plane of another one of its voxel, if it lies on one.
+
+    Not in the map of a lidar: planes fitted to few rings would be handed on.
+    """
+    if not grid.by_mass:
+        return False
     start = grid.spans[voxel, 0]
     for k in range(start, start + grid.spans[voxel, 1]):
         other = grid.surface[k]

@@ -259,6 +259,8 @@ class Locator:
         nearer = tried(self._near(cloud, expected.pose, trust, found), check)
         if nearer is None or nearer.rank <= found.rank:
             return found
+        if candidates.apart(nearer.fit.T_odom_sensor, pose, self._voxel_m, 1.0) < 1.0:
+            return found  # the same place
         return located_by_kiss(nearer, Reason.DISAGREES_WITH_MOTION)
 
     def _near(

@@ -340,7 +340,7 @@ def _iterate(
     with the guess.
     """
     level, floor = levels[0], schedule.scale
-    every = max(1, len(points) // _FIRST)
+    every = 1 if prior is None else max(1, len(points) // _FIRST)
     reach = float(np.median(np.linalg.norm(points, axis=1))) if len(points) else 1.0
     some, weight, surfaces, order = _every(every, points, trust)
     for _ in range(schedule.rounds):
@@ -375,7 +375,7 @@ def _iterate(
 
 
 _FIRST = 900
-"""Points, about, by which an alignment comes close; all of them end it."""
+"""Points, about, by which an alignment near the expected pose comes close; all of them end it."""
 _CLOSE = 0.1
 """Step, in voxels of the level, at which it has come close."""
 

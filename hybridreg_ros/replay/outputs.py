@@ -37,7 +37,8 @@ ODOM_TOPIC = '/hybridreg/odom'
 DYNAMIC_TOPIC = '/hybridreg/dynamic_points'
 STATIC_TOPIC = '/hybridreg/static_points'
 PROBABILITY_FIELD = 'dynamic_probability'
-PATH_TOPIC, TRUE_PATH_TOPIC = '/hybridreg/path', '/ground_truth/path'
+PATH_TOPIC = '/hybridreg/path'
+TRUE_PATH_TOPIC = '/ground_truth/path'
 ODOM_FRAME, UPRIGHT_FRAME = 'odom', 'upright'
 UPRIGHT = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
 """(4, 4) from the axes of a camera (x right, y down, z ahead) to x ahead, y left, z up."""

@@ -100,7 +100,7 @@ def test_missing_unknown_and_flat_files_are_refused(tmp_path):
         read_cloud(tmp_path / 'nothing.ply')
     with pytest.raises(FileFormatError, match=r'expected one of \.npy'):
         read_cloud(tmp_path / 'cloud.xyz')
-    with pytest.raises(FileFormatError, match=r'expected \.npy, \.npz'):
+    with pytest.raises(FileFormatError, match=r'expected \.ply, \.pcd, \.npy'):
         write_cloud(tmp_path / 'cloud.xyz', POINTS)
     with pytest.raises(FileFormatError, match='cannot write'):
         write_cloud(tmp_path / 'no' / 'cloud.ply', POINTS)

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,8 +42,8 @@ def test_a_folder_without_pairs_is_said(tmp_path: Path) -> None:
 
 def test_missing_matplotlib_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_shard(tmp_path / '0.hrs', [encode_pair(tiny(1))])
-    monkeypatch.setitem(sys.modules, 'matplotlib.figure', None)
-    with pytest.raises(DependencyError, match='need matplotlib'):
+    monkeypatch.setattr('hybridreg_ros.core.errors.find_spec', lambda _: None)
+    with pytest.raises(DependencyError, match='needs matplotlib'):
         write_preview(tmp_path, summary())
 
 

@@ -245,7 +245,7 @@ def test_summaries_that_are_none(tmp_path: Path) -> None:
 
 def test_dask_is_named_when_it_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, 'distributed', None)
-    with pytest.raises(DependencyError, match='needs Dask'):
+    with pytest.raises(DependencyError, match='needs distributed'):
         generate_split(SPLIT, 1, 0, tmp_path, scheduler='tcp://127.0.0.1:1')
 
 

@@ -130,7 +130,7 @@ def broken(folder: Path) -> dict[str, Path]:
     ('name', 'text'),
     [
         ('gone', 'no bag at'),
-        ('empty_dir', r'neither metadata\.yaml nor'),
+        ('empty_dir', 'is not a log: expected'),
         ('a.txt', r'expected a \.mcap, \.db3 or \.bag file'),
         ('a.bag', r'cannot read bag .*: try rosbag reindex'),
         ('x.mcap', 'no complete message in it'),

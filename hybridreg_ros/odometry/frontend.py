@@ -258,6 +258,7 @@ class HybridOdometry:
         if self._outgrown < self.config.input.rebase_after:
             return
         self._finish()
+        sensor = recognise_sensor(scan.points, self.config)  # thinned by how much all of it is
         self._outgrown, self._begun = 0, False
         _log.warning('the scene is a far larger one: a new map begins; sensor: %s', sensor)
         leg = tracker.leg_to(scan.stamp)

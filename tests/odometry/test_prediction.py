@@ -92,7 +92,7 @@ def test_motion_holds_what_a_bare_wall_leaves_loose() -> None:
     held = align(points, slid, local, basin='fine', prior=expected).T_odom_sensor
     off = [np.linalg.norm((se3.inverse(here) @ T)[:3, 3]) for T in (free, held)]
     turned = [se3.rotation_angle_deg((se3.inverse(here) @ T)[:3, :3]) for T in (free, held)]
-    assert off[0] > 0.015, 'alone, it does not come all the way back'
+    assert off[0] > 0.03
     assert off[1] < 0.01
     assert turned[1] < 0.5 * turned[0]
 

@@ -44,7 +44,7 @@ def test_walker_is_found_and_the_room_is_not(rays: np.ndarray) -> None:
     assert truth.sum() > 200
     both = (mask & truth).sum()
     assert both / truth.sum() > 0.95
-    assert both / mask.sum() > 0.9
+    assert both / mask.sum() > 0.95
     assert (mask & ~truth).sum() / (~truth).sum() < 0.001
 
 

@@ -238,14 +238,14 @@ def _seen(
     points: NDArray[np.floating], view: Pixels, T_view_points: NDArray[np.float64]
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Range (N,), metres, and pixel (N,) of points as a sensor sees them; -1 outside its view."""
-    R = (view.basis @ T_view_points[:3, :3]).astype(np.float32)
-    t = (view.basis @ T_view_points[:3, 3]).astype(np.float32)
+    R = view.basis @ T_view_points[:3, :3]
+    t = view.basis @ T_view_points[:3, 3]
     ranges = np.empty(len(points), np.float32)
     pixels = np.empty(len(points), np.int32)
-    low = np.array([view.azimuth_rad, view.elevation_rad], np.float32)
+    low = np.array([view.azimuth_rad, view.elevation_rad])
     shape = np.array([view.height, view.width], np.int32)
-    scale = (1.0 / view.step_rad).astype(np.float32)
-    some = points.astype(np.float32, copy=False)
+    scale = 1.0 / view.step_rad
+    some = points.astype(np.float64)
     _project(some, R, t, low, scale, shape, view.wraps, ranges, pixels)
     return ranges, pixels
 
@@ -282,7 +282,7 @@ def _angle(y, x):  # type: ignore[no-untyped-def]
 
 @compiled_fast
 def _project(points, R, t, low, scale, shape, wraps, ranges, pixels):  # type: ignore[no-untyped-def]
-    """The kernel of `_seen`; float32 throughout, so that it fills vector registers."""
+    """The kernel of `_seen`; in float32, rays at the borders of pixels fall on either side."""
     height, width = shape[0], shape[1]
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]

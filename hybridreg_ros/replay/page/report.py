@@ -299,7 +299,7 @@ def write_report(path: Path, title: str, subtitle: str, runs: Sequence[ReportRun
         _error_charts(runs, errors, start),
         _confidence(first, start),
         _pictures(first, start),
-        section('Time per stage', tables.time_table(first.log)) if first.log.frames else '',
+        section('Time per stage (ms)', tables.time_table(first.log)) if first.log.frames else '',
         tables.drop_table(first.log, start),
         tables.provenance(first.metrics),
     )

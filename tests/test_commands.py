@@ -141,7 +141,9 @@ def fill(folder: Path) -> None:
     shutil.copytree(ROOT / 'scripts', folder / 'scripts')
     shutil.copytree(ROOT / 'config', folder / 'config')
     shutil.copytree(DOCS / 'results', folder / 'docs' / 'results')
-    (folder / 'hybridreg_ros').symlink_to(ROOT / 'hybridreg_ros')
+    weights = Path('hybridreg_ros', 'model', 'weights')  # the package itself comes from ROOT
+    (folder / weights.parent).mkdir(parents=True)
+    (folder / weights).symlink_to(ROOT / weights)
     (folder / 'bags').mkdir()
     (folder / 'bags' / 'room.mcap').write_bytes((ROOT / 'bags' / 'room.mcap').read_bytes())
     for name in ('drive.mcap', 'drive', 'recording.mcap'):

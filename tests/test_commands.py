@@ -30,6 +30,8 @@ from hybridreg_ros.model.checkpoint import packaged_weights
 from hybridreg_ros.training.config import TrainConfig
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -196,9 +198,12 @@ def fill_recording(recorded: Path, points: NDArray[np.float32]) -> None:
 
 
 @pytest.fixture
-def shell(tmp_path: Path) -> Shell:
+def shell(tmp_path: Path) -> Iterator[Shell]:
     fill(tmp_path)
-    return Shell(tmp_path)
+    opened = Shell(tmp_path)
+    yield opened
+    for _, process, _ in opened.staying:  # after a failure
+        process.kill()
 
 
 class Shell:

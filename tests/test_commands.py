@@ -275,9 +275,9 @@ def name_of(page: Path) -> str:
 def test_commands_run_as_they_stand(page: Path, shell: Shell) -> None:
     for block in blocks_of(page):
         for command in map(smaller, filter(runs_here, block)):
-            made = re.search(r'simulate .*--out (\S+)', command)
-            if made:  # some pages make the same bag twice
-                (shell.folder / made[1]).unlink(missing_ok=True)
+            made = re.search(r'(?:simulate|generate) .*--out (\S+)', command)
+            if made and (there := shell.folder / made[1]).exists():  # from another block
+                shutil.rmtree(there) if there.is_dir() else there.unlink()
             if command.startswith(STAY):
                 shell.start(command)
             else:

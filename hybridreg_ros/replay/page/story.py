@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.core.scan import NS_PER_S
+from hybridreg_ros.replay.outputs import stage_times
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -117,11 +118,11 @@ def _what_went_wrong(log: ReplayLog, start: int) -> list[str]:
 
 
 def _speed(log: ReplayLog) -> list[str]:
-    total = [1000.0 * f.seconds['total'] for f in log.frames if 'total' in f.seconds]
-    if len(total) < 2:
+    total = stage_times(log.frames).get('total')
+    if total is None or len(log.frames) < 2:
         return []
     gap = 1e-6 * (log.frames[-1].stamp - log.frames[0].stamp) / (len(log.frames) - 1)
-    took = float(np.median(total))
+    took = total['median']
     verdict = 'faster than they came' if took < gap else 'slower than they came'
     return [f'A cloud took {took:.0f} ms (median), {verdict} (every {gap:.0f} ms).']
 

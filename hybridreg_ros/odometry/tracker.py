@@ -21,7 +21,7 @@ from hybridreg_ros.odometry.registration.planar import in_plane
 from hybridreg_ros.odometry.registration.scan_continuity import ScanContinuity
 from hybridreg_ros.odometry.result import Reason, Source
 from hybridreg_ros.odometry.selection import calibration
-from hybridreg_ros.odometry.selection.candidates import Located
+from hybridreg_ros.odometry.selection.candidates import UNHELD, Located
 from hybridreg_ros.odometry.world import World
 
 if TYPE_CHECKING:
@@ -46,9 +46,6 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-_UNHELD = 0.3
-"""Most that is said of a pose that nothing holds along a direction: a normal error of 0.5 m is
-within 0.2 m with this probability."""
 _OPENINGS = 2
 """How often the first map is made again once the second scan shows the velocity."""
 
@@ -275,7 +272,7 @@ class Tracker:
         reason = Reason.DEGENERATE if loose else found.reason
         reason = Reason.RECOVERED if was_lost else reason
         told = self._locator.confidence_of(found)
-        confidence = min(told.confidence, _UNHELD) if loose else told.confidence
+        confidence = min(told.confidence, UNHELD) if loose else told.confidence
         estimate = self._estimate(pose, reason, confidence, nothing(cloud), False)
         self._since_update += 1
         static = self._static(encoded, pose) if effort.thorough else None

@@ -17,6 +17,7 @@ from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.locator import Locator
 from hybridreg_ros.odometry.network_branch import LearnedBranch
 from hybridreg_ros.odometry.registration import covariance
+from hybridreg_ros.odometry.registration.covariance import Surroundings
 from hybridreg_ros.odometry.registration.planar import in_plane
 from hybridreg_ros.odometry.registration.scan_continuity import ScanContinuity
 from hybridreg_ros.odometry.result import Reason, Source
@@ -90,7 +91,7 @@ class Tracker:
         self._blind_leg = np.zeros((6, 6)) if leg is None else leg
         self._held = self._counted = motion.stamp
         self._held_twist: F64 | None = None
-        self._surroundings: dict[int, F64] = {}
+        self._surroundings: dict[int, Surroundings] = {}
         self._opening: tuple[PreprocessedScan, int] | None = None
         self._continuity = ScanContinuity()
         self._since_update = 0
@@ -267,7 +268,7 @@ class Tracker:
         self.source = found.source
         own = self._own(found, cloud.reported_s - cloud.instant_s)
         around, new = self._around(pose, own)
-        self.covariance = around + (1.0 + new) * own + self._leg(found, stamp)
+        self.covariance = around.covariance + (1.0 + new) * own + self._leg(found, stamp)
         loose = bool(found.fit.unheld.any())
         reason = Reason.DEGENERATE if loose else found.reason
         reason = Reason.RECOVERED if was_lost else reason
@@ -276,7 +277,8 @@ class Tracker:
         estimate = self._estimate(pose, reason, confidence, nothing(cloud), False)
         self._since_update += 1
         static = self._static(encoded, pose) if effort.thorough else None
-        update = partial(self._update, cloud, encoded, stamp, found, static, around + new * own)
+        around = around.with_random(new * own)
+        update = partial(self._update, cloud, encoded, stamp, found, static, around)
         self._becomes_keyframe = self._world.is_due(found, stamp)
         if self._since_update < effort.update_every and not self._becomes_keyframe:
             update = partial(self._pass_over, cloud, found)
@@ -295,7 +297,7 @@ class Tracker:
         factor = self._config.covariance.scale or fitted
         return covariance.of_registration(found.fit, ahead_s, factor)
 
-    def _around(self, pose: F64, own: F64) -> tuple[F64, float]:
+    def _around(self, pose: F64, own: F64) -> tuple[Surroundings, float]:
         """How far off the surroundings are in which a pose stands.
 
         They are those of the nearest keyframe, as far off as its pose was; the first one's own
@@ -307,14 +309,14 @@ class Tracker:
             own: (6, 6) covariance of the pose in its surroundings.
 
         Returns:
-            Covariance (6, 6) at the pose, and the share of the surroundings that is new, [0, 1].
+            They at the pose, and the share of them that is new, [0, 1].
         """
         keyframes = self._world.keyframes
         near = keyframes.to_match(pose)
         assert near is not None
-        known = self._surroundings.setdefault(near.number, own)
-        shift = pose[:3, 3] - near.T_odom_keyframe[:3, 3]
-        return covariance.carried(known, shift), min(1.0, keyframes.distance(near, pose))
+        known = self._surroundings.setdefault(near.number, Surroundings(own))
+        around = known.carried(near.T_odom_keyframe, pose)
+        return around, min(1.0, keyframes.distance(near, pose))
 
     def _leg(self, found: Located, stamp: int) -> F64:
         """Covariance (6, 6) of the ways on which nothing held the pose, the present one included.
@@ -338,7 +340,7 @@ class Tracker:
         stamp: int,
         found: Located,
         static: Callable[[], PointMask | None] | None,
-        around: F64,
+        around: Surroundings,
         watch: Watch,
     ) -> Update:
         """Say what moves in a located scan, and write what stands still to the world."""

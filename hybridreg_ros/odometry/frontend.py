@@ -281,6 +281,7 @@ class HybridOdometry:
             dynamic_probability=np.zeros(len(scan), np.float32),
             keyframe_id=self._keyframe_id,
             accepted=accepted,
+            adrift=tracker is not None and tracker.adrift,
             timings_s=watch.laps(),
         )
 
@@ -320,6 +321,7 @@ class HybridOdometry:
             confidence=estimate.confidence,
             dynamic_probability=estimate.dynamic_probability,
             weak_direction=estimate.weak_direction,
+            adrift=self._tracker is not None and self._tracker.adrift,
             keyframe_id=estimate.keyframe_id,
             is_keyframe=estimate.is_keyframe,
             timings_s=watch.laps(),

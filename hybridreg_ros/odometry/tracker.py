@@ -64,6 +64,7 @@ class Tracker:
     Attributes:
         sensor: what the sensor is.
         lost: whether the last pose must not be used.
+        adrift: whether a map began after another one; as in OdometryResult.
         source: branch of the last pose.
         covariance: (6, 6) of the last pose.
     """
@@ -77,7 +78,7 @@ class Tracker:
         leg: F64 | None = None,
     ) -> None:
         self.sensor = sensor
-        self.lost = False
+        self.lost, self.adrift = False, leg is not None
         self.source = Source.KISS_ICP if registrar is None else Source.HYBRIDREG
         self.covariance = covariance.first()
         self._config = config
@@ -390,7 +391,7 @@ class Tracker:
         maps stays in the covariance of all later poses.
         """
         if reason is not Reason.FIRST_SCAN:
-            self._blind_leg = self.leg_to(stamp)
+            self._blind_leg, self.adrift = self.leg_to(stamp), True
         self._stop(stamp, self._motion.predict(stamp))
         pose = self._motion.pose
         self._held, self._counted, self._held_twist = stamp, stamp, None

@@ -13,7 +13,7 @@ NEES of the position (three degrees of freedom, so 2.4 is the median of consiste
     python scripts/places_report.py                          # the ten places, minutes
     python scripts/places_report.py --only tunnel field
     python scripts/places_report.py --blackouts dev-room-502 depth_7scenes
-    python scripts/places_report.py --nees dev-room-502 dev-street-506
+    python scripts/places_report.py --nees room-00 street-1 depth_7scenes --frames 100
 """
 
 from __future__ import annotations
@@ -130,12 +130,12 @@ def _offs(frames: list[SuiteFrame], until: int) -> list[Off]:
     return offs
 
 
-def nees(names: Sequence[str], data: Path, cache: Path) -> list[list[str]]:
+def nees(names: Sequence[str], most: int | None, data: Path, cache: Path) -> list[list[str]]:
     """Rows of the table of consistency: position errors since the first scan, above the gate."""
     rows = [['sequence', 'scans', 'median NEES', '95 %', 'end error m', 'end sigma m']]
     medians = []
     for name in names:
-        frames = suite_data.load(SEQUENCES[name], data, cache)
+        frames = suite_data.load(SEQUENCES[name], data, cache)[:most]
         odometry, start = HybridOdometry(), se3.inverse(frames[0].T_world_sensor)
         values, error, sigma = [], 0.0, 0.0
         for k, frame in enumerate(frames):
@@ -158,11 +158,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument('--only', nargs='+', default=[], metavar='PLACE', help='these places')
     parser.add_argument('--blackouts', nargs='+', metavar='SEQUENCE', help='blackouts instead')
     parser.add_argument('--nees', nargs='+', metavar='SEQUENCE', help='consistency instead')
+    parser.add_argument('--frames', type=int, metavar='N', help='with --nees: the first N of each')
     parser.add_argument('--data', type=Path, default=ROOT.parent / 'shared' / 'data')
     parser.add_argument('--cache', type=Path, default=ROOT / 'out' / 'suite' / 'frames')
     args = parser.parse_args(argv)
     if args.nees:
-        rows = nees(args.nees, args.data, args.cache)
+        rows = nees(args.nees, args.frames, args.data, args.cache)
     elif args.blackouts:
         rows = blackouts(args.blackouts, args.data, args.cache)
     else:

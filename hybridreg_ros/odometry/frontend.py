@@ -319,7 +319,7 @@ class HybridOdometry:
             source=estimate.source,
             reason=fault or estimate.reason,
             confidence=estimate.confidence,
-            dynamic_probability=estimate.dynamic_probability,
+            dynamic_probability=np.zeros(len(scan), np.float32),
             weak_direction=estimate.weak_direction,
             adrift=self._tracker is not None and self._tracker.adrift,
             keyframe_id=estimate.keyframe_id,

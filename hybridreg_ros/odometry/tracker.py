@@ -143,7 +143,7 @@ class Tracker:
         """
         self._locator.judged, self._becomes_keyframe = [], False
         if len(cloud.icp_rows) < self._config.input.min_points:
-            return self._bad(cloud, stamp, Reason.TOO_FEW_POINTS)
+            return self._bad(stamp, Reason.TOO_FEW_POINTS)
         if len(self._world.map) == 0:
             return self._begin(cloud, encoded, stamp, Reason.FIRST_SCAN)
         expected = self._continuity.expect(self._motion.expect(stamp), cloud, stamp)
@@ -164,7 +164,7 @@ class Tracker:
             return self._accept(cloud, encoded, stamp, predicted, found, effort)
         if self.lost and self._give_up(stamp):
             return self._begin(cloud, encoded, stamp, Reason.RECOVERED)
-        return self._bad(cloud, stamp, found)
+        return self._bad(stamp, found)
 
     @property
     def judged(self) -> list[Candidate]:
@@ -275,10 +275,10 @@ class Tracker:
         reason = Reason.RECOVERED if was_lost else reason
         told = self._locator.confidence_of(found)
         confidence = min(told.confidence, UNHELD) if loose else told.confidence
-        estimate = self._estimate(pose, reason, confidence, nothing(cloud), False)
+        estimate = self._estimate(pose, reason, confidence)
         self._since_update += 1
         static = self._static(encoded, pose) if effort.thorough else None
-        around = around.with_random(new * own)
+        around = replace(around, random=around.random + new * own)
         update = partial(self._update, cloud, encoded, stamp, found, static, around)
         self._becomes_keyframe = self._world.is_due(found, stamp)
         if self._since_update < effort.update_every and not self._becomes_keyframe:
@@ -401,9 +401,9 @@ class Tracker:
         self.covariance = covariance.first() + self._blind_leg if first else covariance.lost()
         self._adopt(self._world.begin(cloud, pose, stamp), encoded)
         self._opening = None if cloud.times is None else (cloud, stamp)
-        return self._estimate(pose, reason, float(first), nothing(cloud), is_keyframe=True)
+        return self._estimate(pose, reason, float(first), is_keyframe=True)
 
-    def _bad(self, cloud: PreprocessedScan, stamp: int, reason: Reason) -> Estimate:
+    def _bad(self, stamp: int, reason: Reason) -> Estimate:
         """No pose from this cloud: coast for a few frames, then say LOST.
 
         A cloud that holds next to nothing is silence: the pose is predicted for as long as that
@@ -421,7 +421,7 @@ class Tracker:
             if reason is not Reason.TOO_FEW_POINTS:
                 self._motion.hold(pose, stamp)
             self.covariance = covariance.coasting(self.covariance, self.sensor.voxel_size_m)
-        return self._estimate(pose, reason, 0.0, nothing(cloud), is_keyframe=False)
+        return self._estimate(pose, reason, 0.0)
 
     def _stop(self, stamp: int, pose: F64 | None = None) -> None:
         """Stand still from now on, at a pose or at the last one."""
@@ -454,12 +454,7 @@ class Tracker:
         return True
 
     def _estimate(
-        self,
-        pose: F64,
-        reason: Reason,
-        confidence: float,
-        dynamic: NDArray[np.float32],
-        is_keyframe: bool,
+        self, pose: F64, reason: Reason, confidence: float, is_keyframe: bool = False
     ) -> Estimate:
         return Estimate(
             pose=pose,
@@ -468,7 +463,6 @@ class Tracker:
             source=self.source,
             reason=reason,
             confidence=confidence,
-            dynamic_probability=dynamic,
             keyframe_id=self._keyframe_id,
             is_keyframe=is_keyframe,
         )
@@ -505,15 +499,9 @@ class Estimate:
     source: Source
     reason: Reason
     confidence: float
-    dynamic_probability: NDArray[np.float32]
     keyframe_id: int
     is_keyframe: bool
     reported: F64 | None = None
     reported_confidence: ReportedConfidence | None = None
     weak_direction: F64 | None = None
     update: Callable[[Watch], Update] | None = None
-
-
-def nothing(cloud: PreprocessedScan) -> NDArray[np.float32]:
-    """P(dynamic) (N,) of a cloud of which nothing is known: zero."""
-    return np.zeros(len(cloud.points), np.float32)

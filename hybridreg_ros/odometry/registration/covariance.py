@@ -20,8 +20,6 @@ F64 = NDArray[np.float64]
 
 _LARGEST_STD = 10.0
 """Cap of standard deviations (metres, radians): below LOST_VARIANCE, far above any use."""
-
-
 _SLOW = np.array([0.5, 0.2])
 """Speed (m/s) and rate (rad/s) at which a sensor that was at rest may be moved by hand."""
 _FIRST_SPEED = np.array([5.0, 1.75])
@@ -131,10 +129,6 @@ class Surroundings:
         turn[:3, :3] = turn[3:, 3:] = pose[:3, :3]
         drift = lever @ self.drift + np.linalg.norm(shift) * turn * _DRIFT
         return Surroundings(lever @ self.random @ lever.T, drift)
-
-    def with_random(self, more: F64) -> Surroundings:
-        """The same with a covariance (6, 6) more of errors that differ from scan to scan."""
-        return Surroundings(self.random + more, self.drift)
 
 
 def weakest_m(covariance: F64) -> float:

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 _RAYS = 2.0
 """Edge of a far cell, in distances between neighbouring rays."""
+LARGER = {'depth': 1.0, 'lidar': 1.4}
+"""Edge of the cells of the mask, beside that of a voxel or of the rays: a quarter of the time of a
+lidar's mask goes, and all of its figures keep (docs/lab/2026-11-29-mask-at-its-floors.md)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +40,9 @@ class Grid:
     slope: float
 
     @classmethod
-    def of(cls, near_m: float, step_rad: NDArray[np.float64]) -> Grid:
+    def of(cls, near_m: float, step_rad: F64, larger: float = 1.0) -> Grid:
         """The grid of a sensor whose rays are (2,) so far apart."""
-        return cls(near_m, _RAYS * float(step_rad.max()))
+        return cls(larger * near_m, larger * _RAYS * float(step_rad.max()))
 
     def warped(self, points: NDArray[np.floating]) -> F64:
         """Points (N, 3), sensor frame, moved along their rays so that every cell is a unit cube.

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 LOOKS = 8
 """Earlier scans that are kept."""
+_TELLING_S = 0.25
+"""Age from which an earlier scan tells who walks: at 1 m/s half a body's width from where it saw
+them. By a scan before that, what moves cannot be told from what stands, however good the mask."""
 _LONGEST_S = 3.0
 """An earlier scan goes when the next one is as old as this."""
 NOISE = {'lidar': (0.04, 0.004, 0.0), 'depth': (0.006, 0.003, 0.0012)}
@@ -62,6 +65,10 @@ class Past:
     def looks(self, stamp: int) -> list[tuple[float, RangeImage]]:
         """Age, seconds, and image of each, newest first, for a scan at a stamp, ns."""
         return [(max(1e-3, (stamp - k.stamp) / NS_PER_S), k.image) for k in self._kept[::-1]]
+
+    def tells(self, stamp: int) -> bool:
+        """Whether the oldest is old enough for a scan at a stamp, ns, to show who walks."""
+        return bool(self._kept) and stamp - self._kept[0].stamp >= _TELLING_S * NS_PER_S
 
     def vanished(self, image: RangeImage, kind: str) -> F32:
         """Points (V, 3), odom frame, of the oldest and the newest scan in space seen free since.

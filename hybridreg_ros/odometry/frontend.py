@@ -192,7 +192,8 @@ class HybridOdometry:
         watch.resume()
         estimate = self._tracker.step(cloud, encoded, proposal, stamp, effort, watch)
         result = self._result(scan, cloud, estimate, fault, watch)
-        result = replace(result, load=effort.level)
+        known = self._tracker.knows_motion(stamp)
+        result = replace(result, load=effort.level, mask_known=known)
         self._rest = Rest(partial(self._completed, result, estimate.update, watch))
         self._begun = True
         return result, self._rest
@@ -281,6 +282,7 @@ class HybridOdometry:
             dynamic_probability=np.zeros(len(scan), np.float32),
             keyframe_id=self._keyframe_id,
             accepted=accepted,
+            adrift=tracker is not None and tracker.adrift,
             timings_s=watch.laps(),
         )
 
@@ -318,8 +320,9 @@ class HybridOdometry:
             source=estimate.source,
             reason=fault or estimate.reason,
             confidence=estimate.confidence,
-            dynamic_probability=estimate.dynamic_probability,
+            dynamic_probability=np.zeros(len(scan), np.float32),
             weak_direction=estimate.weak_direction,
+            adrift=self._tracker is not None and self._tracker.adrift,
             keyframe_id=estimate.keyframe_id,
             is_keyframe=estimate.is_keyframe,
             timings_s=watch.laps(),

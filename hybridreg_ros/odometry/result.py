@@ -66,6 +66,8 @@ class OdometryResult:
         reason: why that branch.
         confidence: calibrated P(pose right), [0, 1]; 0 when LOST.
         dynamic_probability: (N,) float32 in [0, 1], one value per point of `scan.points`.
+        mask_known: False while earlier scans do not reach back far enough (a quarter of a second)
+            to tell what stands still; no point is published as static then.
         keyframe_id: number of the keyframe the scan was matched against.
         is_keyframe: True when this scan became a keyframe.
         accepted: False when the scan was refused (bad stamp, frame change): pose repeats.
@@ -74,6 +76,8 @@ class OdometryResult:
         load: 0 = all of a step was done; more = less of it, since scans come too fast.
         weak_direction: (3,) unit direction, odom axes, along which no surface holds the position;
             None = there is none.
+        adrift: True from when a new map began, since the old one was not found again or is too
+            small for the scene: how far off it begins stays in the covariance.
     """
 
     scan: Scan
@@ -85,6 +89,7 @@ class OdometryResult:
     reason: Reason
     confidence: float
     dynamic_probability: NDArray[np.float32]
+    mask_known: bool = True
     keyframe_id: int = 0
     is_keyframe: bool = False
     accepted: bool = True
@@ -92,6 +97,7 @@ class OdometryResult:
     deskewed: bool = False
     load: int = 0
     weak_direction: NDArray[np.float64] | None = None
+    adrift: bool = False
 
     @property
     def stamp(self) -> int:

@@ -152,7 +152,9 @@ def fill(folder: Path) -> None:
         write_room_bag(folder / name, 4, topics=('/lidar/points',))
     for name in ('one.mcap', 'two.db3'):
         write_room_bag(folder / 'logs' / name, 4)
-    points = room_points(np.random.default_rng(0), 4000)
+    rng = np.random.default_rng(0)
+    # Mixed, since the points of the two pillars alternate: as a .bin file, eight columns.
+    points = rng.permutation(room_points(rng, 4000))
     write_cloud(folder / 'a.ply', points)
     write_cloud(folder / 'b.pcd', points + np.float32(0.05))
     for name in ('data/test/room-match-30-50', 'data/test/room-lomatch-30-50', 'REAL...'):

@@ -342,6 +342,8 @@ def main() -> None:
     assert head is not None
     made = gathered(HybridReg(config, network), args.data, args.seed, args.limit)
     learned = [e for e in made if not e.held_out]
+    if not learned:
+        p.error('every scene is held out: generate more pairs')
     fit(head, learned, args.passes, args.lr, args.seed)
     scores = report(head, [e for e in made if e.held_out])
     for kind, row in scores.items():

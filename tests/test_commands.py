@@ -52,6 +52,7 @@ ELSEWHERE = {
 # What trains or scores for hours, or needs a GPU, is run with less of everything.
 SMALLER = (
     (r'--pairs \d+', '--pairs 2'),
+    (r'--pairs \d+( --seed 2400000)', r'--pairs 6\1'),  # of two scenes: one is held out
     (r'(generate all .*)', r'\1 --pairs 1'),
     (r'(generate room-match-30-50 --part test .*)', r'\1 --pairs 1'),
     (r'--steps \d+', '--steps 2'),

@@ -88,11 +88,7 @@ class Cells:
 
     @classmethod
     def of(
-        cls,
-        points: NDArray[np.float32],
-        counts: NDArray[np.int32],
-        T_odom_sensor: F64,
-        grid: Grid,
+        cls, points: NDArray[np.float32], counts: NDArray[np.int32], T_odom_sensor: F64, grid: Grid
     ) -> Cells:
         """Cells of thinned points (N, 3), sensor frame, each the mean of so many (N,)."""
         everywhere = np.ones(len(points), np.bool_)
@@ -104,19 +100,9 @@ class Cells:
         start, other = segments.neighbours(keys)
         total, centre, normal, flat = segments.normals(points, counts, cell, start, other)
         size = np.maximum(grid.near_m, grid.slope * np.linalg.norm(centre, axis=1))
+        around = start, other, cell
         return cls(
-            grid,
-            T_odom_sensor,
-            keys,
-            numbered(keys),
-            start,
-            other,
-            cell,
-            total,
-            size,
-            centre,
-            normal,
-            flat,
+            grid, T_odom_sensor, keys, numbered(keys), *around, total, size, centre, normal, flat
         )
 
     def __len__(self) -> int:

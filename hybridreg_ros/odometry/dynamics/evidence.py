@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 LOOKS = 8
 """Earlier scans that are kept."""
 _TELLING_S = 0.25
-"""Age from which an earlier scan tells who walks: at 1 m/s half a body's width from where it saw
-them. By a scan before that, what moves cannot be told from what stands, however good the mask."""
+"""Age from which an earlier scan tells who walks: half a body's width off at 1 m/s. Before that,
+no mask tells what moves from what stands."""
 _LONGEST_S = 3.0
 """An earlier scan goes when the next one is as old as this."""
 NOISE = {'lidar': (0.04, 0.004, 0.0), 'depth': (0.006, 0.003, 0.0012)}
@@ -149,9 +149,7 @@ def _said(cells: Cells, static: F32) -> NDArray[np.float64]:
 @compiled
 def _bent(x):  # type: ignore[no-untyped-def]
     """Logarithm on both sides of 0."""
-    if x == 0.0:  # most margins
-        return 0.0
-    return np.log1p(x) if x >= 0.0 else -np.log1p(-x)
+    return np.log1p(x) if x > 0.0 else -np.log1p(-x) if x < 0.0 else 0.0
 
 
 @compiled

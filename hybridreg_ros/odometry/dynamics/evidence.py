@@ -116,10 +116,9 @@ def evidence_of(
     """
     count, out = len(cells), np.zeros((len(cells), COLUMNS), np.float32)
     margin, speed = np.empty((2, len(looks), count), np.float32)
+    where = cells.centre, cells.T_odom_sensor
     for row, (age_s, image) in enumerate(looks):
-        margin[row], speed[row] = image.look(
-            cells.centre, cells.T_odom_sensor, now, NOISE[kind], age_s
-        )
+        margin[row], speed[row] = image.look(*where, now, NOISE[kind], age_s)
     _sum_up(margin, speed, out)
     ranges = np.linalg.norm(cells.centre, axis=1)
     facing = np.abs((cells.normal * cells.centre).sum(axis=1)) / np.maximum(ranges, 1e-6)

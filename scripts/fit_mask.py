@@ -30,7 +30,7 @@ from hybridreg_ros.data.sequences.frame import LIDAR_FRAME
 from hybridreg_ros.data.sequences.simulate import simulate
 from hybridreg_ros.odometry import tracker, world
 from hybridreg_ros.odometry.dynamics import models
-from hybridreg_ros.odometry.dynamics.cells import Cells, Grid
+from hybridreg_ros.odometry.dynamics.cells import LARGER, Cells, Grid
 from hybridreg_ros.odometry.dynamics.classifier import FIRST, Dynamics, remembered
 from hybridreg_ros.odometry.dynamics.context import context_of
 from hybridreg_ros.odometry.dynamics.evidence import Look, Past, evidence_of
@@ -232,7 +232,7 @@ def labelled(number: int, keep: Path) -> Iterator[Labelled]:
         cloud, kind = scan.cloud, scan.sensor.kind
         view = view or view_of(cloud.points[cloud.usable], kind)
         image = RangeImage(cloud.points, view, scan.pose, cloud.usable)
-        grid = Grid.of(scan.sensor.voxel_size_m, view.step_rad)
+        grid = Grid.of(scan.sensor.voxel_size_m, view.step_rad, LARGER[kind])
         cells = Cells.of(cloud.means, cloud.counts, scan.pose, grid)
         static = None if rng.random() < UNASKED else scan.static
         looks = past.looks(scan.stamp)

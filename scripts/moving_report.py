@@ -17,7 +17,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -132,10 +132,17 @@ def within(points: NDArray[np.float32], limits: tuple[float, float]) -> Mask:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a method says about a sequence: a mask a scan, and the CPU time of each, seconds."""
+    """What a method says about a sequence.
+
+    Attributes:
+        masks: what moves, by scan.
+        cpu_s: CPU time of each, seconds.
+        known: whether the rest is published as static; empty = always.
+    """
 
     masks: list[Mask]
     cpu_s: list[float]
+    known: list[bool] = field(default_factory=list)
 
 
 def ours(scans: list[Scan]) -> tuple[Answer, list[F64]]:
@@ -144,13 +151,14 @@ def ours(scans: list[Scan]) -> tuple[Answer, list[F64]]:
     with timed(cpu, ('moving', '_remember')):
         front_end = HybridOdometry()
         threshold = front_end.config.dynamics.threshold
-        masks, poses = [], []
+        masks, poses, known = [], [], []
         for scan in scans:
             cpu.append(0.0)
             result = front_end.step(scan)
             masks.append(result.dynamic_probability >= threshold)
             poses.append(result.pose)
-    return Answer(masks, cpu), poses
+            known.append(result.mask_known)
+    return Answer(masks, cpu, known), poses
 
 
 class timed:  # noqa: N801
@@ -223,11 +231,10 @@ def counts_of(shown: list[Shown], answer: Answer, first: int = 1, last: int = 10
 
 def published(shown: list[Shown], answer: Answer, last: int | None = None) -> float:
     """Share of the points published as static that move, first scan included."""
-    moving = sum(
-        int((~m & f.moves).sum()) for f, m in zip(shown[:last], answer.masks, strict=False)
-    )
-    static = sum(int((~m).sum()) for m in answer.masks[:last])
-    return moving / max(1, static)
+    known = answer.known or [True] * len(shown)
+    still = [~mask & know for mask, know in zip(answer.masks, known, strict=True)][:last]
+    moving = sum(int((s & f.moves).sum()) for s, f in zip(still, shown, strict=False))
+    return moving / max(1, sum(int(s.sum()) for s in still))
 
 
 def sources(data: Path, only: list[str]) -> Iterator[tuple[str, str, list[Shown]]]:

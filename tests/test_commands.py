@@ -30,6 +30,8 @@ from hybridreg_ros.model.checkpoint import packaged_weights
 from hybridreg_ros.training.config import TrainConfig
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -141,7 +143,9 @@ def fill(folder: Path) -> None:
     shutil.copytree(ROOT / 'scripts', folder / 'scripts')
     shutil.copytree(ROOT / 'config', folder / 'config')
     shutil.copytree(DOCS / 'results', folder / 'docs' / 'results')
-    (folder / 'hybridreg_ros').symlink_to(ROOT / 'hybridreg_ros')
+    weights = Path('hybridreg_ros', 'model', 'weights')  # the package itself comes from ROOT
+    (folder / weights.parent).mkdir(parents=True)
+    (folder / weights).symlink_to(ROOT / weights)
     (folder / 'bags').mkdir()
     (folder / 'bags' / 'room.mcap').write_bytes((ROOT / 'bags' / 'room.mcap').read_bytes())
     for name in ('drive.mcap', 'drive', 'recording.mcap'):
@@ -194,9 +198,12 @@ def fill_recording(recorded: Path, points: NDArray[np.float32]) -> None:
 
 
 @pytest.fixture
-def shell(tmp_path: Path) -> Shell:
+def shell(tmp_path: Path) -> Iterator[Shell]:
     fill(tmp_path)
-    return Shell(tmp_path)
+    opened = Shell(tmp_path)
+    yield opened
+    for _, process, _ in opened.staying:  # after a failure
+        process.kill()
 
 
 class Shell:

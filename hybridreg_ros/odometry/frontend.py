@@ -192,7 +192,8 @@ class HybridOdometry:
         watch.resume()
         estimate = self._tracker.step(cloud, encoded, proposal, stamp, effort, watch)
         result = self._result(scan, cloud, estimate, fault, watch)
-        result = replace(result, load=effort.level)
+        known = self._tracker.knows_motion(stamp)
+        result = replace(result, load=effort.level, mask_known=known)
         self._rest = Rest(partial(self._completed, result, estimate.update, watch))
         self._begun = True
         return result, self._rest

@@ -66,6 +66,8 @@ class OdometryResult:
         reason: why that branch.
         confidence: calibrated P(pose right), [0, 1]; 0 when LOST.
         dynamic_probability: (N,) float32 in [0, 1], one value per point of `scan.points`.
+        mask_known: False while earlier scans do not reach back far enough (a quarter of a second)
+            to tell what stands still; no point is published as static then.
         keyframe_id: number of the keyframe the scan was matched against.
         is_keyframe: True when this scan became a keyframe.
         accepted: False when the scan was refused (bad stamp, frame change): pose repeats.
@@ -87,6 +89,7 @@ class OdometryResult:
     reason: Reason
     confidence: float
     dynamic_probability: NDArray[np.float32]
+    mask_known: bool = True
     keyframe_id: int = 0
     is_keyframe: bool = False
     accepted: bool = True

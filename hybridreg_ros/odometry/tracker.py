@@ -104,6 +104,10 @@ class Tracker:
             return None
         return self._learned.encode(cloud.map_points, budget)
 
+    def knows_motion(self, stamp: int) -> bool:
+        """Whether what stands still in a scan at a stamp, ns, is known to."""
+        return self._world.dynamics.knows(stamp)
+
     def propose(
         self, cloud: PreprocessedScan, encoded: Encoded | None, stamp: int
     ) -> Proposal | None:

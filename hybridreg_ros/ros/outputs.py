@@ -155,7 +155,7 @@ class Outputs:
             self._frame.publish(of_frame(result, name, msg.header.stamp))
         dynamic = result.dynamic_probability >= self._threshold
         self._publish_cloud(self._dynamic, msg, result, dynamic)
-        self._publish_cloud(self._static, msg, result, ~dynamic)
+        self._publish_cloud(self._static, msg, result, ~dynamic & result.mask_known)
         if config.publish_keyframe and result.is_keyframe:
             self._publish_cloud(self._keyframe, msg, result, ~dynamic)
 

@@ -79,7 +79,11 @@ DYNAMIC_POINTS = Topic(
     depth=5,
 )
 STATIC_POINTS = Topic(
-    '~/static_points', 'sensor_msgs/msg/PointCloud2', 'the other valid points', depth=5
+    '~/static_points',
+    'sensor_msgs/msg/PointCloud2',
+    'the other valid points; none in the first quarter of a second, in which nothing can tell '
+    'what moves',
+    depth=5,
 )
 TF = Topic(
     '/tf',

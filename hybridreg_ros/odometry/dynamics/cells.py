@@ -13,7 +13,7 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.odometry.dynamics import segments
 from hybridreg_ros.odometry.map.thinning import occupied
-from hybridreg_ros.odometry.map.voxel_hash import EMPTY, find_slot, voxel_key
+from hybridreg_ros.odometry.map.voxel_hash import EMPTY, find_voxel, numbered, voxel_key
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 _RAYS = 2.0
 """Edge of a far cell, in distances between neighbouring rays."""
+LARGER = {'depth': 1.0, 'lidar': 1.4}
+"""Edge of the cells of the mask, beside that of a voxel or of the rays: a quarter of the time of a
+lidar's mask goes, and all of its figures keep (docs/lab/2026-11-29-mask-at-its-floors.md)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +40,9 @@ class Grid:
     slope: float
 
     @classmethod
-    def of(cls, near_m: float, step_rad: NDArray[np.float64]) -> Grid:
+    def of(cls, near_m: float, step_rad: F64, larger: float = 1.0) -> Grid:
         """The grid of a sensor whose rays are (2,) so far apart."""
-        return cls(near_m, _RAYS * float(step_rad.max()))
+        return cls(larger * near_m, larger * _RAYS * float(step_rad.max()))
 
     def warped(self, points: NDArray[np.floating]) -> F64:
         """Points (N, 3), sensor frame, moved along their rays so that every cell is a unit cube.
@@ -58,8 +61,8 @@ class Cells:
     Attributes:
         grid: how large they are.
         T_odom_sensor: (4, 4) pose of the scan.
-        table: (C,) int64 hash table of cell keys.
-        slots: (C,) int32, cell of each table entry.
+        keys: (M,) int64 of the cells, ascending.
+        slots: (C,) int32 hash table of the cells by their keys.
         start: (M + 1,) int32, with `other` the cells around each (`segments.neighbours`).
         other: (K,) int32.
         of_point: (N,) int32 cell of each point that the cells were made of, -1 = none.
@@ -72,7 +75,7 @@ class Cells:
 
     grid: Grid
     T_odom_sensor: F64
-    table: NDArray[np.int64]
+    keys: NDArray[np.int64]
     slots: NDArray[np.int32]
     start: NDArray[np.int32]
     other: NDArray[np.int32]
@@ -93,15 +96,19 @@ class Cells:
     ) -> Cells:
         """Cells of thinned points (N, 3), sensor frame, each the mean of so many (N,)."""
         everywhere = np.ones(len(points), np.bool_)
-        table, slots, keys, _, _, cell = occupied(grid.warped(points), 1.0, everywhere)
-        start, other = segments.neighbours(keys, table, slots)
+        _, _, keys, _, _, cell = occupied(grid.warped(points), 1.0, everywhere)
+        order = np.argsort(keys)
+        rank = np.full(len(keys) + 1, -1, np.int32)
+        rank[order] = np.arange(len(keys), dtype=np.int32)
+        keys, cell = keys[order], rank[cell]
+        start, other = segments.neighbours(keys)
         total, centre, normal, flat = segments.normals(points, counts, cell, start, other)
         size = np.maximum(grid.near_m, grid.slope * np.linalg.norm(centre, axis=1))
         return cls(
             grid,
             T_odom_sensor,
-            table,
-            slots,
+            keys,
+            numbered(keys),
             start,
             other,
             cell,
@@ -123,13 +130,14 @@ class Cells:
             Part (M,) of each cell, and number of parts.
         """
         surface, count = self._divided(self.flat, by_surface=True)
-        size = np.bincount(surface[surface >= 0], minlength=count)
-        large = np.zeros(len(self), np.bool_)
-        large[surface >= 0] = size[surface[surface >= 0]] >= segments.LARGE
+        # The last entry is of the cells of no surface, which are number -1.
+        is_large = np.bincount(surface + 1, minlength=count + 1)[1:] >= segments.LARGE
+        is_large = np.append(is_large, np.False_)
+        large = is_large[surface]
         part, things = self._divided(~large, by_surface=False)
-        _, number = np.unique(surface[large], return_inverse=True)
-        part[large] = things + number
-        return part, things + (int(number.max()) + 1 if len(number) else 0)
+        number = things - 1 + np.cumsum(is_large)
+        part[large] = number[surface[large]]
+        return part, things + int(is_large.sum())
 
     def _divided(
         self, member: NDArray[np.bool_], *, by_surface: bool
@@ -149,7 +157,7 @@ class Cells:
         """
         there = se3.apply(se3.inverse(self.T_odom_sensor) @ T_odom_sensor, points)
         out = np.zeros((len(points), values.shape[1] + 1), np.float32)
-        _values_at(self.grid.warped(there), self.table, self.slots, values, out)
+        _values_at(self.grid.warped(there), self.keys, self.slots, values, out)
         return out
 
 
@@ -166,26 +174,26 @@ def _warp(points, near, slope, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _values_at(warped, table, slots, values, out):  # type: ignore[no-untyped-def]
+def _values_at(warped, keys, slots, values, out):  # type: ignore[no-untyped-def]
     """The kernel of `Cells.at`."""
     last = values.shape[1]
     for row in range(len(warped)):
         key = voxel_key(warped[row, 0], warped[row, 1], warped[row, 2], 1.0)
         if key == EMPTY:
             continue
-        slot = find_slot(table, key)
-        if table[slot] != EMPTY:
-            out[row, :last] = values[slots[slot]]
+        cell = find_voxel(key, slots, keys)
+        if cell >= 0:
+            out[row, :last] = values[cell]
             out[row, last] = 1.0
             continue
         found = 0
         for di in range(-1, 2):
             for dj in range(-1, 2):
                 for dk in range(-1, 2):
-                    slot = find_slot(table, key + (di << 42) + (dj << 21) + dk)
-                    if table[slot] != EMPTY:
+                    cell = find_voxel(key + (di << 42) + (dj << 21) + dk, slots, keys)
+                    if cell >= 0:
                         for column in range(last):
-                            out[row, column] += values[slots[slot], column]
+                            out[row, column] += values[cell, column]
                         found += 1
         if found:
             for column in range(last):

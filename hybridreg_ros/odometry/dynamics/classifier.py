@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.odometry.dynamics import models
-from hybridreg_ros.odometry.dynamics.cells import Cells, Grid
+from hybridreg_ros.odometry.dynamics.cells import LARGER, Cells, Grid
 from hybridreg_ros.odometry.dynamics.context import context_of
 from hybridreg_ros.odometry.dynamics.evidence import Look, Past, evidence_of
 
@@ -100,7 +100,7 @@ class Dynamics:
         """
         if not self._config.enabled or len(cloud.means) == 0:
             return np.zeros(len(cloud.points), np.float32)
-        grid = Grid.of(self._voxel_m, image.view.step_rad)
+        grid = Grid.of(self._voxel_m, image.view.step_rad, LARGER[self._kind])
         cells = Cells.of(cloud.means, cloud.counts, T_odom_sensor, grid)
         before = np.zeros((len(cells), 3), np.float32)
         if self._last is not None:
@@ -116,6 +116,10 @@ class Dynamics:
         self._last = _Last(cells, remembered(before, odds), moving[:, None])
         of_cube = np.where(cells.of_point >= 0, moving[cells.of_point], np.float32(0.0))
         return np.where(cloud.cube >= 0, of_cube[cloud.cube], np.float32(0.0))
+
+    def knows(self, stamp: int) -> bool:
+        """Whether earlier scans tell what moves in a scan at a stamp, ns, or nobody asks."""
+        return not self._config.enabled or self._past.tells(stamp)
 
     def remember(self, image: RangeImage, points: F32, stamp: int) -> None:
         """Keep a scan for later tests.

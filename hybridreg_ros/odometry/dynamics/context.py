@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     F32 = NDArray[np.float32]
 
-_OWN = [0, 1, 4, 6, 8, 11, 12, 14, 15, 17, 19, 21, 22, 23, 25, 26, 27]
+_OWN = np.array([0, 1, 4, 6, 8, 11, 12, 14, 15, 17, 19, 21, 22, 23, 25, 26, 27])
 """Columns of the evidence about the cell itself that are passed on."""
 _PART = 16
 _SUMS = 10
@@ -54,10 +54,23 @@ def context_of(cells: Cells, evidence: F32, odds: F32, before: F32, kind: str) -
     of_part[:, -5] = np.log(number)
     of_part[:, -4:-1] = np.log(size + 0.05)
     of_part[:, -1] = np.log(points) if kind == 'lidar' else 0.0
-    before = before.copy()
-    before[:, 1] = np.log1p(before[:, 1])
-    own = np.column_stack([odds, mean, peak, evidence[:, _OWN], before])
-    return np.concatenate([own, of_part[part]], axis=1).astype(np.float32)
+    joined: F32 = _joined(odds, mean, peak, evidence, before, of_part, part)
+    return joined
+
+
+@compiled
+def _joined(odds, mean, peak, evidence, before, of_part, part):  # type: ignore[no-untyped-def]
+    """The columns of `context_of`."""
+    out = np.empty((len(odds), COLUMNS), np.float32)
+    for cell in range(len(out)):
+        out[cell, 0], out[cell, 1], out[cell, 2] = odds[cell], mean[cell], peak[cell]
+        for k in range(len(_OWN)):
+            out[cell, 3 + k] = evidence[cell, _OWN[k]]
+        k = 3 + len(_OWN)
+        out[cell, k], out[cell, k + 1] = before[cell, 0], np.log1p(before[cell, 1])
+        out[cell, k + 2] = before[cell, 2]
+        out[cell, k + 3 :] = of_part[part[cell]]
+    return out
 
 
 @compiled

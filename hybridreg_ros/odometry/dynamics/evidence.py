@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 LOOKS = 8
 """Earlier scans that are kept."""
+_TELLING_S = 0.25
+"""Age from which an earlier scan tells who walks: at 1 m/s half a body's width from where it saw
+them. By a scan before that, what moves cannot be told from what stands, however good the mask."""
 _LONGEST_S = 3.0
 """An earlier scan goes when the next one is as old as this."""
 NOISE = {'lidar': (0.04, 0.004, 0.0), 'depth': (0.006, 0.003, 0.0012)}
@@ -62,6 +65,10 @@ class Past:
     def looks(self, stamp: int) -> list[tuple[float, RangeImage]]:
         """Age, seconds, and image of each, newest first, for a scan at a stamp, ns."""
         return [(max(1e-3, (stamp - k.stamp) / NS_PER_S), k.image) for k in self._kept[::-1]]
+
+    def tells(self, stamp: int) -> bool:
+        """Whether the oldest is old enough for a scan at a stamp, ns, to show who walks."""
+        return bool(self._kept) and stamp - self._kept[0].stamp >= _TELLING_S * NS_PER_S
 
     def vanished(self, image: RangeImage, kind: str) -> F32:
         """Points (V, 3), odom frame, of the oldest and the newest scan in space seen free since.
@@ -108,9 +115,9 @@ def evidence_of(
         26, 27: log odds of motion by the network, and whether it was asked.
     """
     count, out = len(cells), np.zeros((len(cells), COLUMNS), np.float32)
-    margin, speed = np.empty((2, count, len(looks)), np.float32)
+    margin, speed = np.empty((2, len(looks), count), np.float32)
     for row, (age_s, image) in enumerate(looks):
-        margin[:, row], speed[:, row] = image.look(
+        margin[row], speed[row] = image.look(
             cells.centre, cells.T_odom_sensor, now, NOISE[kind], age_s
         )
     _sum_up(margin, speed, out)
@@ -142,6 +149,8 @@ def _said(cells: Cells, static: F32) -> NDArray[np.float64]:
 @compiled
 def _bent(x):  # type: ignore[no-untyped-def]
     """Logarithm on both sides of 0."""
+    if x == 0.0:  # most margins
+        return 0.0
     return np.log1p(x) if x >= 0.0 else -np.log1p(-x)
 
 
@@ -150,9 +159,9 @@ def _sum_up(margin, speed, out):  # type: ignore[no-untyped-def]
     """What K looks at M cells say together.
 
     Args:
-        margin: (M, K) float32 standard deviations before (+) or behind (-) what was seen; 0 on
+        margin: (K, M) float32 standard deviations before (+) or behind (-) what was seen; 0 on
             it, NaN unseen, infinite where nothing came back; newest look first.
-        speed: (M, K) float32 m/s at which what hid the cell would have moved to it, -1 where it
+        speed: (K, M) float32 m/s at which what hid the cell would have moved to it, -1 where it
             is still there.
         out: (M, 26 or more) float32. 0: looks in whose view it is; 1, 2: share of the looks at
             the place that saw it free, or clearly so; 3, 4: number that saw it free, or a surface;
@@ -161,12 +170,12 @@ def _sum_up(margin, speed, out):  # type: ignore[no-untyped-def]
             the hidden looks of which the hiding thing has gone; 12, 13: its speed, and the scatter
             of that; 25: share of the looks to which nothing came back from there.
     """
-    cells, looks = margin.shape
+    looks, cells = margin.shape
     for row in range(cells):
         free, clear, on, behind, gone, seen, empty = 0, 0, 0, 0, 0, 0, 0
         most, least, total, squared = 0.0, 99.0, 0.0, 0.0
         for k in range(looks):
-            m = margin[row, k]
+            m = margin[k, row]
             if not np.isfinite(m):
                 empty += m > 0.0
                 continue
@@ -176,10 +185,10 @@ def _sum_up(margin, speed, out):  # type: ignore[no-untyped-def]
             seen += 1
             if m < -CLEAR:
                 behind += 1
-                if speed[row, k] >= 0.0:
+                if speed[k, row] >= 0.0:
                     gone += 1
-                    total += speed[row, k]
-                    squared += speed[row, k] ** 2
+                    total += speed[k, row]
+                    squared += speed[k, row] ** 2
                 continue
             if m > CLEAR:
                 free += 1

@@ -9,7 +9,6 @@ import numpy as np
 
 from hybridreg_ros.core.eigen import smallest_axis
 from hybridreg_ros.core.jit import compiled
-from hybridreg_ros.odometry.map.voxel_hash import EMPTY, find_slot
 
 LARGE = 60
 """A smooth surface of so many cells is a part of its own: a floor, a wall, the side of a lorry."""
@@ -24,8 +23,11 @@ _FLAT = 0.12
 
 
 @compiled
-def neighbours(keys, table, slots):  # type: ignore[no-untyped-def]
-    """The occupied cells around each cell (M,) and itself.
+def neighbours(keys):  # type: ignore[no-untyped-def]
+    """The occupied cells around each cell and itself.
+
+    Args:
+        keys: (M,) int64 of the cells, ascending.
 
     Returns:
         start (M + 1,) int32 and other (K,) int32: other[start[c]:start[c + 1]] of cell c.
@@ -33,14 +35,18 @@ def neighbours(keys, table, slots):  # type: ignore[no-untyped-def]
     start = np.zeros(len(keys) + 1, np.int32)
     other = np.empty(27 * len(keys), np.int32)
     count = 0
+    first = np.zeros(9, np.int32)  # of each row of three cells around one, which follow it
     for cell in range(len(keys)):
-        for di in range(-1, 2):
-            for dj in range(-1, 2):
-                for dk in range(-1, 2):
-                    slot = find_slot(table, keys[cell] + (di << 42) + (dj << 21) + dk)
-                    if table[slot] != EMPTY:
-                        other[count] = slots[slot]
-                        count += 1
+        for row in range(9):
+            low = keys[cell] + ((row // 3 - 1) << 42) + ((row % 3 - 1) << 21) - 1
+            k = first[row]
+            while k < len(keys) and keys[k] < low:
+                k += 1
+            first[row] = k
+            while k < len(keys) and keys[k] <= low + 2:
+                other[count] = k
+                count += 1
+                k += 1
         start[cell + 1] = count
     return start, other[:count].copy()
 
@@ -61,51 +67,39 @@ def normals(points, counts, cell, start, other):  # type: ignore[no-untyped-def]
         anything.
     """
     m = len(start) - 1
-    number = np.zeros(m)
     total = np.zeros(m)
     centre = np.zeros((m, 3))
-    first = np.zeros((m, 3))
-    second = np.zeros((m, 6))
+    moments = np.zeros((m, 10))  # number; sums; sums of products
     for row in range(len(points)):
         c = cell[row]
         if c < 0:
             continue
-        x, y, z = float(points[row, 0]), float(points[row, 1]), float(points[row, 2])
-        number[c] += 1.0
         total[c] += counts[row]
-        centre[c, 0] += counts[row] * x
-        centre[c, 1] += counts[row] * y
-        centre[c, 2] += counts[row] * z
-        first[c, 0] += x
-        first[c, 1] += y
-        first[c, 2] += z
-        second[c, 0] += x * x
-        second[c, 1] += x * y
-        second[c, 2] += x * z
-        second[c, 3] += y * y
-        second[c, 4] += y * z
-        second[c, 5] += z * z
+        moments[c, 0] += 1.0
+        k = 4
+        for a in range(3):
+            centre[c, a] += counts[row] * points[row, a]
+            moments[c, 1 + a] += points[row, a]
+            for b in range(a, 3):
+                moments[c, k] += np.float64(points[row, a]) * points[row, b]
+                k += 1
     normal = np.zeros((m, 3))
     flat = np.zeros(m, np.bool_)
-    s = np.zeros(3)
-    q = np.zeros(6)
+    s = np.empty(10)
     for c in range(m):
-        n = 0.0
-        s[:] = 0.0
-        q[:] = 0.0
-        for k in range(start[c], start[c + 1]):
-            o = other[k]
-            n += number[o]
-            s += first[o]
-            q += second[o]
         for axis in range(3):
             centre[c, axis] /= max(1.0, total[c])
+        s[:] = 0.0
+        for k in range(start[c], start[c + 1]):
+            for j in range(10):
+                s[j] += moments[other[k], j]
+        n = s[0]
         if n < 6.0 or start[c + 1] - start[c] < 4:
             continue
-        mx, my, mz = s[0] / n, s[1] / n, s[2] / n
+        mx, my, mz = s[1] / n, s[2] / n, s[3] / n
         l0, l1, _, nx, ny, nz = smallest_axis(
-            q[0] / n - mx * mx, q[1] / n - mx * my, q[2] / n - mx * mz,
-            q[3] / n - my * my, q[4] / n - my * mz, q[5] / n - mz * mz,
+            s[4] / n - mx * mx, s[5] / n - mx * my, s[6] / n - mx * mz,
+            s[7] / n - my * my, s[8] / n - my * mz, s[9] / n - mz * mz,
         )  # fmt: skip
         sign = -1.0 if nx * mx + ny * my + nz * mz > 0.0 else 1.0
         normal[c, 0], normal[c, 1], normal[c, 2] = sign * nx, sign * ny, sign * nz

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -209,28 +209,21 @@ class RangeImage:
                 sees through that surface; else -1.
         """
         T = se3.inverse(self.T_odom_sensor) @ T_odom_sensor
-        margin = np.empty(len(points), np.float32)
-        speed = np.full(len(points), -1.0, np.float32)
+        margin, speed = np.empty((2, len(points)), np.float32)
         ranges, pixels = _seen(points, self.view, T)
         near, far = self._near.ravel(), self._far.ravel()
-        lowest, highest = (edge * self.view.width for edge in (self._rows[0], self._rows[1] + 1))
-        images = near, far, self._inside.ravel()
-        _margins(ranges, pixels, images, (lowest, highest), noise, margin)
-        hidden = np.flatnonzero(margin < -_HIDDEN)
-        if len(hidden):
-            before = far[pixels[hidden]]
-            there = se3.apply(T, points[hidden]) * (before / ranges[hidden])[:, None]
-            q, at = _seen(there, self.view, se3.inverse(T))
-            clear = now._near.ravel()[at] - q > _HIDDEN * _sigma(q, noise)
-            gone = hidden[(at >= 0) & (now._far.ravel()[at] > 0.0) & clear]
-            speed[gone] = (ranges[gone] - far[pixels[gone]]) / age_s
+        within = self._rows[0] * self.view.width, (self._rows[1] + 1) * self.view.width
+        _margins(ranges, pixels, (near, far, self._inside.ravel()), within, noise, margin)
+        saw = now._near.ravel(), now._far.ravel()
+        view = self.view.basis, se3.inverse(T)[:3, 3].copy(), *_scaled(self.view)
+        _gone(points, (ranges, pixels, far), view, saw, noise, age_s, margin, speed)
         return margin, speed
 
 
-def _sigma(r: NDArray[np.float32], noise: tuple[float, float, float]) -> NDArray[np.float32]:
-    """Standard deviation of ranges (N,), metres."""
-    sigma: NDArray[np.float32] = noise[0] + noise[1] * r + noise[2] * r * r
-    return sigma
+def _scaled(view: Pixels) -> tuple[NDArray[np.float64], NDArray[np.float64], Any, bool]:
+    """Lowest angles (2,), pixels per rad (2,), shape, and whether it wraps."""
+    low = np.array([view.azimuth_rad, view.elevation_rad])
+    return low, 1.0 / view.step_rad, np.array([view.height, view.width], np.int32), view.wraps
 
 
 def _seen(
@@ -241,11 +234,8 @@ def _seen(
     t = view.basis @ T_view_points[:3, 3]
     ranges = np.empty(len(points), np.float32)
     pixels = np.empty(len(points), np.int32)
-    low = np.array([view.azimuth_rad, view.elevation_rad])
-    shape = np.array([view.height, view.width], np.int32)
-    scale = 1.0 / view.step_rad
-    some = points.astype(np.float64)
-    _project(some, R, t, low, scale, shape, view.wraps, ranges, pixels)
+    some = np.asarray(points, np.float64)
+    _project(some, R, t, *_scaled(view), ranges, pixels)
     return ranges, pixels
 
 
@@ -280,23 +270,28 @@ def _angle(y, x):  # type: ignore[no-untyped-def]
 
 
 @compiled_fast
-def _project(points, R, t, low, scale, shape, wraps, ranges, pixels):  # type: ignore[no-untyped-def]
-    """The kernel of `_seen`; in float32, rays at the borders of pixels fall on either side."""
+def _place(f, s, u, low, scale, shape, wraps):  # type: ignore[no-untyped-def]
+    """Range and pixel of a point in a view; in float32, rays at their borders fall anywhere."""
     height, width = shape[0], shape[1]
+    flat = np.sqrt(f * f + s * s)
+    column = np.int32(np.floor((_angle(s, f) - low[0]) * scale[0]))
+    row = np.int32(np.floor((_angle(u, flat) - low[1]) * scale[1]))
+    if wraps:
+        column = column - width if column >= width else column
+        column = column + width if column < 0 else column
+    outside = (column < 0) | (row < 0) | (column >= width) | (row >= height)
+    return np.sqrt(flat * flat + u * u), np.int32(-1) if outside else row * width + column
+
+
+@compiled_fast
+def _project(points, R, t, low, scale, shape, wraps, ranges, pixels):  # type: ignore[no-untyped-def]
+    """The kernel of `_seen`."""
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         f = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t[0]
         s = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t[1]
         u = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t[2]
-        flat = np.sqrt(f * f + s * s)
-        ranges[i] = np.sqrt(flat * flat + u * u)
-        column = np.int32(np.floor((_angle(s, f) - low[0]) * scale[0]))
-        row = np.int32(np.floor((_angle(u, flat) - low[1]) * scale[1]))
-        if wraps:
-            column = column - width if column >= width else column
-            column = column + width if column < 0 else column
-        outside = (column < 0) | (row < 0) | (column >= width) | (row >= height)
-        pixels[i] = np.int32(-1) if outside else row * width + column
+        ranges[i], pixels[i] = _place(f, s, u, low, scale, shape, wraps)
 
 
 @compiled
@@ -361,3 +356,25 @@ def _margins(ranges, pixels, images, within, noise, margin):  # type: ignore[no-
         elif inside[pixel]:
             sigma = noise[0] + noise[1] * r + noise[2] * r * r
             margin[i] = (max(near[pixel] - r, 0.0) - max(r - far[pixel], 0.0)) / sigma
+
+
+@compiled
+def _gone(points, looked, view, now, noise, age_s, margin, speed):  # type: ignore[no-untyped-def]
+    """Speeds of `RangeImage.look`, by where points (N, 3) were looked for and what was there."""
+    ranges, pixels, far = looked
+    basis, origin, low, scale, shape, wraps = view
+    for i in range(len(pixels)):
+        speed[i] = -1.0
+        if not margin[i] < -_HIDDEN:  # nor if it is NaN
+            continue
+        share = far[pixels[i]] / ranges[i]  # what hid it is so far along the way from the origin
+        x = origin[0] + share * (points[i, 0] - origin[0])
+        y = origin[1] + share * (points[i, 1] - origin[1])
+        z = origin[2] + share * (points[i, 2] - origin[2])
+        f = basis[0, 0] * x + basis[0, 1] * y + basis[0, 2] * z
+        s = basis[1, 0] * x + basis[1, 1] * y + basis[1, 2] * z
+        u = basis[2, 0] * x + basis[2, 1] * y + basis[2, 2] * z
+        q, at = _place(f, s, u, low, scale, shape, wraps)
+        sigma = noise[0] + noise[1] * q + noise[2] * q * q
+        if at >= 0 and now[1][at] > 0.0 and now[0][at] - q > _HIDDEN * sigma:
+            speed[i] = (ranges[i] - far[pixels[i]]) / age_s

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 WIDTH, HEIGHT = 900, 300
-LEFT, RIGHT, TOP, BOTTOM = 84, 16, 14, 52
+LEFT, RIGHT, TOP, BOTTOM = 108, 16, 14, 52
 MAX_POINTS = 2000
 
 
@@ -111,6 +111,11 @@ def _path(axes: _Axes, series: Series) -> str:
     return f'<path class="line c{series.style}{dash}" d="{"".join(parts)}"/>'
 
 
+def _lines(axes: _Axes, series: Sequence[Series]) -> list[str]:
+    """The lines, the first on top."""
+    return [_path(axes, s) for s in reversed(series)]
+
+
 def _grid(axes: _Axes, x_label: str, y_label: str) -> list[str]:
     parts = []
     bottom, right = axes.height - BOTTOM, WIDTH - RIGHT
@@ -169,7 +174,7 @@ def time_chart(
         for b in bands
     ]
     body += _grid(axes, 'time (s)', y_label)
-    body += [_path(axes, s) for s in series]
+    body += _lines(axes, series)
     return _svg(axes, body, label, 'time') + legend(series)
 
 
@@ -185,7 +190,7 @@ def plan_chart(series: Sequence[Series], x_label: str, y_label: str, label: str)
     axes = _Axes(
         mid_x - half_x, mid_x + half_x, mid_y - half_y, mid_y + half_y, height + TOP + BOTTOM
     )
-    body = _grid(axes, x_label, y_label) + [_path(axes, s) for s in series]
+    body = _grid(axes, x_label, y_label) + _lines(axes, series)
     if len(series) and len(series[0].x):
         start = (axes.px(float(series[0].x[0])), axes.py(float(series[0].y[0])))
         body.append(f'<circle class="start" cx="{start[0]:.1f}" cy="{start[1]:.1f}" r="5"/>')

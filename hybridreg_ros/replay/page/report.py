@@ -265,12 +265,13 @@ def _worst(run: ReportRun, errors: FrameErrors | None, start: int) -> str:
 
 def _scene_section(run: ReportRun, errors: FrameErrors | None) -> str:
     colour = 'step error' if errors is not None else 'confidence'
+    if run.scene is None:
+        return ''
+    squares = ', keyframes (squares)' if run.scene.keyframes else ''
     caption = (
         f'What stood still (grey), thinned to one point per {1000 * run.scene.voxel_m:.0f} mm, '
-        f'the path coloured by {colour}, keyframes (squares), and what moves in the chosen frame '
-        '(orange). Drag or use the arrow keys to turn, wheel or + and - to zoom.'
-        if run.scene is not None
-        else ''
+        f'the path coloured by {colour}{squares}, and what moves in the chosen frame (orange). '
+        'Drag or use the arrow keys to turn, wheel or + and - to zoom.'
     )
     body = Path(__file__).with_name('report_scene.html').read_text('utf-8')
     return section('The scene', f'<p class="soft">{escape(caption)}</p>{body}')
@@ -298,7 +299,7 @@ def write_report(path: Path, title: str, subtitle: str, runs: Sequence[ReportRun
         _error_charts(runs, errors, start),
         _confidence(first, start),
         _pictures(first, start),
-        section('Time per stage', tables.time_table(first.log)) if first.log.frames else '',
+        section('Time per stage (ms)', tables.time_table(first.log)) if first.log.frames else '',
         tables.drop_table(first.log, start),
         tables.provenance(first.metrics),
     )

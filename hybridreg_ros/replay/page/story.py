@@ -88,9 +88,7 @@ def _how_well(scores: Scores, others: Sequence[tuple[str, Scores]]) -> list[str]
             if other.trajectory is not None:
                 theirs = 1000.0 * other.trajectory.ate_rmse_m
                 text += f'. {name} on the same clouds: {length(theirs)}'
-                ratio = theirs / max(ate, 1e-9)
-                more, what = (ratio, 'more') if ratio >= 1.0 else (1.0 / ratio, 'less')
-                text += f', {more:.1f} times as much' if what == 'more' else f', {more:.1f} x less'
+                text += f', {theirs / max(ate, 1e-9):.1f} times as much'
         texts.append(text + '.')
     if scores.mask is not None and np.isfinite(scores.mask.iou):
         m = scores.mask

@@ -6,13 +6,14 @@ Degenerate places (`hybridreg_ros/benchmark/places.py`): scans, wrong poses (mor
 degrees off the true pose since the start) with confidence above the gate, share of errors within
 three standard deviations along every axis, position error at the end. Blackouts of 0.2 to 5 s in
 walks, two of each long sequence: back on the old map within five good scans (right as the suite
-has it, since the last scan before), and wrong afterwards above the gate.
+has it, since the last scan before); wrong afterwards above the gate, and of these how many are
+right in the same walk without the blackout.
 NEES of the position (three degrees of freedom, so 2.4 is the median of consistent covariances).
 
     python scripts/places_report.py                          # the ten places, minutes
     python scripts/places_report.py --only tunnel field
     python scripts/places_report.py --blackouts dev-room-502 depth_7scenes
-    python scripts/places_report.py --nees dev-room-502 dev-street-506
+    python scripts/places_report.py --nees room-00 street-1 depth_7scenes --frames 100
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import argparse
 import sys
 from itertools import chain, cycle
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -75,29 +76,44 @@ def _cells(score: Score) -> list[str]:
 
 def blackouts(names: Sequence[str], data: Path, cache: Path) -> list[list[str]]:
     """Rows of the table of blackouts: empty clouds in walks, of each length in turn."""
-    rows = [['sequence', 'from', 'dark s', 'back after', 'wrong above gate']]
-    back = wrong = scans = 0
+    rows = [['sequence', 'from', 'dark s', 'back after', 'wrong above gate', 'by the blackout']]
+    counts = np.zeros(4, int)
     lengths = cycle(DARK_S)
     for name in names:
         frames = suite_data.load(SEQUENCES[name], data, cache)
         for first in range(0, len(frames), NEXT)[:WALKS]:
-            dark_s = next(lengths)
-            after, bad, good = _through_dark(frames[first:], dark_s, SEQUENCES[name].limits)
-            back, wrong, scans = back + (after <= SOON), wrong + bad, scans + good
-            cells = [f'{dark_s:g}', f'{after:g}', f'{bad} of {good}']
+            dark_s, limits = next(lengths), SEQUENCES[name].limits
+            walk = frames[first:]
+            until = walk[BEFORE - 1].scan.stamp + round(dark_s * NS_PER_S)
+            after = sum(f.scan.stamp <= until for f in walk) + AFTER
+            through = _offs(walk[:after], until)
+            ordinary = _offs(walk[:after], 0)
+            back = next((k for k, off in enumerate(through, 1) if off.within(*limits)), np.inf)
+            wrong = [off.sure and not off.within(WRONG_M, WRONG_DEG) for off in through]
+            ours = [o.within(WRONG_M, WRONG_DEG) for o in ordinary[len(ordinary) - len(through) :]]
+            blamed = sum(w and o for w, o in zip(wrong, ours, strict=True))
+            counts += (back <= SOON, sum(wrong), blamed, len(through))
+            cells = [f'{dark_s:g}', f'{back:g}', f'{sum(wrong)} of {len(through)}', str(blamed)]
             rows.append([name, str(first), *cells])
-    return [*rows, ['all', '', '', f'{back} of {len(rows) - 1}', f'{wrong} of {scans}']]
+    total = [f'{counts[0]} of {len(rows) - 1}', f'{counts[1]} of {counts[3]}', str(counts[2])]
+    return [*rows, ['all', '', '', *total]]
 
 
-def _through_dark(
-    frames: list[SuiteFrame], dark_s: float, limits: tuple[float, float]
-) -> tuple[float, int, int]:
-    """Good scans until a right pose, wrong ones above the gate, and good scans after a blackout.
+class Off(NamedTuple):
+    """How far off a pose is since the last one before a blackout, and whether it is sure."""
 
-    Poses are right or wrong as seen from the last one before.
-    """
-    odometry, moved, after, bad, good = HybridOdometry(), np.eye(4), np.inf, 0, 0
-    until = frames[BEFORE - 1].scan.stamp + round(dark_s * NS_PER_S)
+    far_m: float
+    far_deg: float
+    sure: bool
+
+    def within(self, limit_m: float, limit_deg: float) -> bool:
+        """Whether the pose is right."""
+        return self.far_m <= limit_m and self.far_deg <= limit_deg
+
+
+def _offs(frames: list[SuiteFrame], until: int) -> list[Off]:
+    """Errors of the poses after a blackout that ends at a stamp, ns (0: of all; there is none)."""
+    odometry, moved, offs = HybridOdometry(), np.eye(4), []
     for k, frame in enumerate(frames):
         scan = frame.scan
         if k >= BEFORE and scan.stamp <= until:
@@ -108,23 +124,18 @@ def _through_dark(
         if k < BEFORE:
             moved = result.pose @ se3.inverse(frame.T_world_sensor)
             continue
-        good += 1
         off = se3.inverse(moved @ frame.T_world_sensor) @ result.pose
         far_m, far_deg = float(np.linalg.norm(off[:3, 3])), se3.rotation_angle_deg(off[:3, :3])
-        bad += (far_m > WRONG_M or far_deg > WRONG_DEG) and result.confidence >= GATE
-        if far_m <= limits[0] and far_deg <= limits[1]:
-            after = min(after, good)
-        if good == AFTER:
-            break
-    return after, bad, good
+        offs.append(Off(far_m, far_deg, result.confidence >= GATE))
+    return offs
 
 
-def nees(names: Sequence[str], data: Path, cache: Path) -> list[list[str]]:
+def nees(names: Sequence[str], most: int | None, data: Path, cache: Path) -> list[list[str]]:
     """Rows of the table of consistency: position errors since the first scan, above the gate."""
     rows = [['sequence', 'scans', 'median NEES', '95 %', 'end error m', 'end sigma m']]
     medians = []
     for name in names:
-        frames = suite_data.load(SEQUENCES[name], data, cache)
+        frames = suite_data.load(SEQUENCES[name], data, cache)[:most]
         odometry, start = HybridOdometry(), se3.inverse(frames[0].T_world_sensor)
         values, error, sigma = [], 0.0, 0.0
         for k, frame in enumerate(frames):
@@ -147,11 +158,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument('--only', nargs='+', default=[], metavar='PLACE', help='these places')
     parser.add_argument('--blackouts', nargs='+', metavar='SEQUENCE', help='blackouts instead')
     parser.add_argument('--nees', nargs='+', metavar='SEQUENCE', help='consistency instead')
+    parser.add_argument('--frames', type=int, metavar='N', help='with --nees: the first N of each')
     parser.add_argument('--data', type=Path, default=ROOT.parent / 'shared' / 'data')
     parser.add_argument('--cache', type=Path, default=ROOT / 'out' / 'suite' / 'frames')
     args = parser.parse_args(argv)
     if args.nees:
-        rows = nees(args.nees, args.data, args.cache)
+        rows = nees(args.nees, args.frames, args.data, args.cache)
     elif args.blackouts:
         rows = blackouts(args.blackouts, args.data, args.cache)
     else:

@@ -14,7 +14,6 @@ import itertools
 import resource
 import tempfile
 import time
-from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +24,7 @@ from hybridreg_ros.odometry.result import OdometryResult, Reason, Source
 from hybridreg_ros.replay import outputs, runner
 from hybridreg_ros.replay.bag_reader import CloudFrame, open_bag
 from hybridreg_ros.replay.page.pictures import Album
+from hybridreg_ros.replay.page.report import ReportRun, write_report
 from hybridreg_ros.replay.page.scene import SceneSink
 from hybridreg_ros.replay.session import open_front_end
 
@@ -37,10 +37,10 @@ GAP_NS = 100_000_000
 
 
 class Timed:
-    """A sink or front end whose CPU time is added up under a name."""
+    """A sink or front end of which the CPU time of each call is kept."""
 
-    def __init__(self, inner: Any, name: str, spent: Counter[str]) -> None:
-        self._inner, self._name, self._spent = inner, name, spent
+    def __init__(self, inner: Any, spent: list[float]) -> None:
+        self._inner, self._spent = inner, spent
 
     def __getattr__(self, name: str) -> Any:
         call = getattr(self._inner, name)
@@ -48,7 +48,7 @@ class Timed:
         def timed(*arguments: Any) -> Any:
             start = time.process_time()
             made = call(*arguments)
-            self._spent[self._name] += time.process_time() - start  # type: ignore[assignment]
+            self._spent.append(time.process_time() - start)
             return made
 
         return timed
@@ -84,19 +84,21 @@ def main() -> None:
     parser.add_argument('--frames', type=int, default=10_000, help='length of the long log')
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as name, open_bag(args.bag) as opened:
-        spent: Counter[str] = Counter()
-        made = outputs.OutputFiles(Path(name))
-        sinks = {'scene': SceneSink(), 'pictures': Album(100), 'dynamic.mcap': made}
-        timed = [Timed(sink, text, spent) for text, sink in sinks.items()]
-        front = Timed(open_front_end(OdometryConfig(), None), 'front end', spent)
-        runner.run(opened.frames(), front, timed)
+        made, scene, album = outputs.OutputFiles(Path(name)), SceneSink(), Album(100)
+        sinks = {'scene': scene, 'pictures': album, 'dynamic.mcap': made}
+        spent: dict[str, list[float]] = {n: [] for n in ('front end', *sinks)}
+        front = Timed(open_front_end(OdometryConfig(), None), spent['front end'])
+        log = runner.run(opened.frames(), front, [Timed(s, spent[n]) for n, s in sinks.items()])
         made.close()
-    print(
-        '\n'.join(
-            f'{n}: {s:.2f} s CPU, {100 * s / spent["front end"]:.1f} % of the front end'
-            for n, s in spent.items()
-        )
-    )
+        start = time.process_time()
+        run = ReportRun('', log, outputs.Scores(), None, album.views(), {}, scene.scene())
+        write_report(Path(name) / 'report.html', '', '', [run])
+        once = time.process_time() - start
+    usual = {n: 1000.0 * float(np.median(s)) for n, s in spent.items()}
+    share = 100.0 / usual['front end']
+    for n, ms in usual.items():
+        print(f'{n}: {ms:.2f} ms CPU per frame (median), {share * ms:.1f} % of the front end')
+    print(f'all sinks: {share * sum(usual[n] for n in sinks):.1f} %; the page, once: {once:.2f} s')
     everything: tuple[runner.Sink, ...] = (SceneSink(), Album(100))
     for count in (args.frames // 10, args.frames):
         log = runner.run(repeated(args.bag, count), Standing(), everything)

@@ -53,7 +53,7 @@ if [ ! -x "$venv/bin/python" ] || ! "$venv/bin/python" -c 'import pip' 2>/dev/nu
   "$python" -m venv --clear "$venv"
 fi
 extras='ros,replay,data'
-[ "$purpose" = test ] && extras="$extras,bench,scale,test,docs"
+[ "$purpose" = test ] && extras="$extras,bench,scale,view,test,docs"
 # An outer ROS wheel environment must not leak into this one.
 unset LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE PYTHONPATH
 pip() { "$venv/bin/python" -m pip --disable-pip-version-check -q "$@"; }

@@ -30,6 +30,8 @@ from hybridreg_ros.model.checkpoint import packaged_weights
 from hybridreg_ros.training.config import TrainConfig
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -141,14 +143,18 @@ def fill(folder: Path) -> None:
     shutil.copytree(ROOT / 'scripts', folder / 'scripts')
     shutil.copytree(ROOT / 'config', folder / 'config')
     shutil.copytree(DOCS / 'results', folder / 'docs' / 'results')
-    (folder / 'hybridreg_ros').symlink_to(ROOT / 'hybridreg_ros')
+    weights = Path('hybridreg_ros', 'model', 'weights')  # the package itself comes from ROOT
+    (folder / weights.parent).mkdir(parents=True)
+    (folder / weights).symlink_to(ROOT / weights)
     (folder / 'bags').mkdir()
     (folder / 'bags' / 'room.mcap').write_bytes((ROOT / 'bags' / 'room.mcap').read_bytes())
     for name in ('drive.mcap', 'drive', 'recording.mcap'):
         write_room_bag(folder / name, 4, topics=('/lidar/points',))
     for name in ('one.mcap', 'two.db3'):
         write_room_bag(folder / 'logs' / name, 4)
-    points = room_points(np.random.default_rng(0), 4000)
+    rng = np.random.default_rng(0)
+    # Mixed, since the points of the two pillars alternate: as a .bin file, eight columns.
+    points = rng.permutation(room_points(rng, 4000))
     write_cloud(folder / 'a.ply', points)
     write_cloud(folder / 'b.pcd', points + np.float32(0.05))
     for name in ('data/test/room-match-30-50', 'data/test/room-lomatch-30-50', 'REAL...'):
@@ -194,9 +200,12 @@ def fill_recording(recorded: Path, points: NDArray[np.float32]) -> None:
 
 
 @pytest.fixture
-def shell(tmp_path: Path) -> Shell:
+def shell(tmp_path: Path) -> Iterator[Shell]:
     fill(tmp_path)
-    return Shell(tmp_path)
+    opened = Shell(tmp_path)
+    yield opened
+    for _, process, _ in opened.staying:  # after a failure
+        process.kill()
 
 
 class Shell:
@@ -268,9 +277,9 @@ def name_of(page: Path) -> str:
 def test_commands_run_as_they_stand(page: Path, shell: Shell) -> None:
     for block in blocks_of(page):
         for command in map(smaller, filter(runs_here, block)):
-            made = re.search(r'simulate .*--out (\S+)', command)
-            if made:  # some pages make the same bag twice
-                (shell.folder / made[1]).unlink(missing_ok=True)
+            made = re.search(r'(?:simulate|generate) .*--out (\S+)', command)
+            if made and (there := shell.folder / made[1]).exists():  # from another block
+                shutil.rmtree(there) if there.is_dir() else there.unlink()
             if command.startswith(STAY):
                 shell.start(command)
             else:

@@ -282,6 +282,7 @@ class HybridOdometry:
             dynamic_probability=np.zeros(len(scan), np.float32),
             keyframe_id=self._keyframe_id,
             accepted=accepted,
+            adrift=tracker is not None and tracker.adrift,
             timings_s=watch.laps(),
         )
 
@@ -319,8 +320,9 @@ class HybridOdometry:
             source=estimate.source,
             reason=fault or estimate.reason,
             confidence=estimate.confidence,
-            dynamic_probability=estimate.dynamic_probability,
+            dynamic_probability=np.zeros(len(scan), np.float32),
             weak_direction=estimate.weak_direction,
+            adrift=self._tracker is not None and self._tracker.adrift,
             keyframe_id=estimate.keyframe_id,
             is_keyframe=estimate.is_keyframe,
             timings_s=watch.laps(),

@@ -25,7 +25,6 @@ from hybridreg_ros.odometry.selection.candidates import (
 )
 from hybridreg_ros.odometry.selection.fallback import Fallback
 from hybridreg_ros.odometry.selection.pose_confidence import (
-    PoseEvidence,
     Verdict,
     judge,
     worst_axis,
@@ -210,13 +209,14 @@ class Locator:
             return Reason.LOW_CONFIDENCE
         return found
 
-    def _without_doubt(self, confidence: float, evidence: PoseEvidence) -> bool:
+    def _without_doubt(self, found: Candidate) -> bool:
         """Whether a pose is taken without a second opinion.
 
-        Confidence alone is not enough: at a wrong pose along walls most points find the map too.
+        Confidence alone is not enough: at a wrong pose along walls most points find the map too,
+        and one that nothing holds along a direction is the prediction itself.
         """
-        sure = confidence >= _NO_DOUBT
-        return sure and evidence.consistent >= _STANDS
+        sure = found.verdict.confidence >= _NO_DOUBT and found.evidence.consistent >= _STANDS
+        return sure and not found.fit.unheld.any()
 
     def _followed(
         self,
@@ -362,7 +362,7 @@ class Locator:
         """Fallback from the guesses; while in doubt, other ways and turned guesses. Best wins."""
         gate = self._config.gate
         best = self._followed(cloud, guesses[0], trust, check)
-        if best is None or not self._without_doubt(best.verdict.confidence, best.evidence):
+        if best is None or not self._without_doubt(best):
             ways = self._other_ways(cloud, guesses, trust, best)
             for way in ways if wide else islice(ways, 1):
                 best = better(best, tried(way, check))
@@ -418,7 +418,8 @@ class Locator:
                 verdict.fault is None and candidates.against_motion(verdict.confidence, off) < 0.0
             )
             verdict = Verdict(0.0, Reason.DISAGREES_WITH_MOTION) if unlikely else verdict
-        order = candidates.rank(evidence, verdict, off, 0.0 < dt_s <= _SOON_S)
+        held = not fit.unheld.any()
+        order = candidates.rank(evidence, verdict, off, 0.0 < dt_s <= _SOON_S, held)
         candidate = Candidate(fit, evidence, verdict, reported, off, order)
         self.judged.append(candidate)
         return candidate

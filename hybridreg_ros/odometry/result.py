@@ -75,6 +75,8 @@ class OdometryResult:
         load: 0 = all of a step was done; more = less of it, since scans come too fast.
         weak_direction: (3,) unit direction, odom axes, along which no surface holds the position;
             None = there is none.
+        adrift: True from when a new map began, since the old one was not found again or is too
+            small for the scene: how far off it begins stays in the covariance.
     """
 
     scan: Scan
@@ -94,6 +96,7 @@ class OdometryResult:
     deskewed: bool = False
     load: int = 0
     weak_direction: NDArray[np.float64] | None = None
+    adrift: bool = False
 
     @property
     def stamp(self) -> int:

@@ -17,11 +17,12 @@ from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.locator import Locator
 from hybridreg_ros.odometry.network_branch import LearnedBranch
 from hybridreg_ros.odometry.registration import covariance
+from hybridreg_ros.odometry.registration.covariance import Surroundings
 from hybridreg_ros.odometry.registration.planar import in_plane
 from hybridreg_ros.odometry.registration.scan_continuity import ScanContinuity
 from hybridreg_ros.odometry.result import Reason, Source
 from hybridreg_ros.odometry.selection import calibration
-from hybridreg_ros.odometry.selection.candidates import Located
+from hybridreg_ros.odometry.selection.candidates import UNHELD, Located
 from hybridreg_ros.odometry.world import World
 
 if TYPE_CHECKING:
@@ -46,9 +47,6 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-_UNHELD = 0.3
-"""Most that is said of a pose that nothing holds along a direction: a normal error of 0.5 m is
-within 0.2 m with this probability."""
 _OPENINGS = 2
 """How often the first map is made again once the second scan shows the velocity."""
 
@@ -66,6 +64,7 @@ class Tracker:
     Attributes:
         sensor: what the sensor is.
         lost: whether the last pose must not be used.
+        adrift: whether a map began after another one; as in OdometryResult.
         source: branch of the last pose.
         covariance: (6, 6) of the last pose.
     """
@@ -79,7 +78,7 @@ class Tracker:
         leg: F64 | None = None,
     ) -> None:
         self.sensor = sensor
-        self.lost = False
+        self.lost, self.adrift = False, leg is not None
         self.source = Source.KISS_ICP if registrar is None else Source.HYBRIDREG
         self.covariance = covariance.first()
         self._config = config
@@ -93,7 +92,7 @@ class Tracker:
         self._blind_leg = np.zeros((6, 6)) if leg is None else leg
         self._held = self._counted = motion.stamp
         self._held_twist: F64 | None = None
-        self._surroundings: dict[int, F64] = {}
+        self._surroundings: dict[int, Surroundings] = {}
         self._opening: tuple[PreprocessedScan, int] | None = None
         self._continuity = ScanContinuity()
         self._since_update = 0
@@ -148,7 +147,7 @@ class Tracker:
         """
         self._locator.judged, self._becomes_keyframe = [], False
         if len(cloud.icp_rows) < self._config.input.min_points:
-            return self._bad(cloud, stamp, Reason.TOO_FEW_POINTS)
+            return self._bad(stamp, Reason.TOO_FEW_POINTS)
         if len(self._world.map) == 0:
             return self._begin(cloud, encoded, stamp, Reason.FIRST_SCAN)
         expected = self._continuity.expect(self._motion.expect(stamp), cloud, stamp)
@@ -170,7 +169,7 @@ class Tracker:
             return self._accept(cloud, encoded, stamp, predicted, found, effort)
         if self.lost and self._give_up(stamp):
             return self._begin(cloud, encoded, stamp, Reason.RECOVERED)
-        return self._bad(cloud, stamp, found)
+        return self._bad(stamp, found)
 
     @property
     def judged(self) -> list[Candidate]:
@@ -275,16 +274,17 @@ class Tracker:
         self.source = found.source
         own = self._own(found, cloud.reported_s - cloud.instant_s)
         around, new = self._around(pose, own)
-        self.covariance = around + (1.0 + new) * own + self._leg(found, stamp)
+        self.covariance = around.covariance + (1.0 + new) * own + self._leg(found, stamp)
         loose = bool(found.fit.unheld.any())
         reason = Reason.DEGENERATE if loose else found.reason
         reason = Reason.RECOVERED if was_lost else reason
         told = self._locator.confidence_of(found)
-        confidence = min(told.confidence, _UNHELD) if loose else told.confidence
-        estimate = self._estimate(pose, reason, confidence, nothing(cloud), False)
+        confidence = min(told.confidence, UNHELD) if loose else told.confidence
+        estimate = self._estimate(pose, reason, confidence)
         self._since_update += 1
         static = self._static(encoded, pose) if effort.thorough else None
-        update = partial(self._update, cloud, encoded, stamp, found, static, around + new * own)
+        around = replace(around, random=around.random + new * own)
+        update = partial(self._update, cloud, encoded, stamp, found, static, around)
         self._becomes_keyframe = self._world.is_due(found, stamp)
         if self._since_update < effort.update_every and not self._becomes_keyframe:
             update = partial(self._pass_over, cloud, found)
@@ -303,7 +303,7 @@ class Tracker:
         factor = self._config.covariance.scale or fitted
         return covariance.of_registration(found.fit, ahead_s, factor)
 
-    def _around(self, pose: F64, own: F64) -> tuple[F64, float]:
+    def _around(self, pose: F64, own: F64) -> tuple[Surroundings, float]:
         """How far off the surroundings are in which a pose stands.
 
         They are those of the nearest keyframe, as far off as its pose was; the first one's own
@@ -315,14 +315,14 @@ class Tracker:
             own: (6, 6) covariance of the pose in its surroundings.
 
         Returns:
-            Covariance (6, 6) at the pose, and the share of the surroundings that is new, [0, 1].
+            They at the pose, and the share of them that is new, [0, 1].
         """
         keyframes = self._world.keyframes
         near = keyframes.to_match(pose)
         assert near is not None
-        known = self._surroundings.setdefault(near.number, own)
-        shift = pose[:3, 3] - near.T_odom_keyframe[:3, 3]
-        return covariance.carried(known, shift), min(1.0, keyframes.distance(near, pose))
+        known = self._surroundings.setdefault(near.number, Surroundings(own))
+        around = known.carried(near.T_odom_keyframe, pose)
+        return around, min(1.0, keyframes.distance(near, pose))
 
     def _leg(self, found: Located, stamp: int) -> F64:
         """Covariance (6, 6) of the ways on which nothing held the pose, the present one included.
@@ -346,7 +346,7 @@ class Tracker:
         stamp: int,
         found: Located,
         static: Callable[[], PointMask | None] | None,
-        around: F64,
+        around: Surroundings,
         watch: Watch,
     ) -> Update:
         """Say what moves in a located scan, and write what stands still to the world."""
@@ -396,7 +396,7 @@ class Tracker:
         maps stays in the covariance of all later poses.
         """
         if reason is not Reason.FIRST_SCAN:
-            self._blind_leg = self.leg_to(stamp)
+            self._blind_leg, self.adrift = self.leg_to(stamp), True
         self._stop(stamp, self._motion.predict(stamp))
         pose = self._motion.pose
         self._held, self._counted, self._held_twist = stamp, stamp, None
@@ -406,9 +406,9 @@ class Tracker:
         self.covariance = covariance.first() + self._blind_leg if first else covariance.lost()
         self._adopt(self._world.begin(cloud, pose, stamp), encoded)
         self._opening = None if cloud.times is None else (cloud, stamp)
-        return self._estimate(pose, reason, float(first), nothing(cloud), is_keyframe=True)
+        return self._estimate(pose, reason, float(first), is_keyframe=True)
 
-    def _bad(self, cloud: PreprocessedScan, stamp: int, reason: Reason) -> Estimate:
+    def _bad(self, stamp: int, reason: Reason) -> Estimate:
         """No pose from this cloud: coast for a few frames, then say LOST.
 
         A cloud that holds next to nothing is silence: the pose is predicted for as long as that
@@ -426,7 +426,7 @@ class Tracker:
             if reason is not Reason.TOO_FEW_POINTS:
                 self._motion.hold(pose, stamp)
             self.covariance = covariance.coasting(self.covariance, self.sensor.voxel_size_m)
-        return self._estimate(pose, reason, 0.0, nothing(cloud), is_keyframe=False)
+        return self._estimate(pose, reason, 0.0)
 
     def _stop(self, stamp: int, pose: F64 | None = None) -> None:
         """Stand still from now on, at a pose or at the last one."""
@@ -459,12 +459,7 @@ class Tracker:
         return True
 
     def _estimate(
-        self,
-        pose: F64,
-        reason: Reason,
-        confidence: float,
-        dynamic: NDArray[np.float32],
-        is_keyframe: bool,
+        self, pose: F64, reason: Reason, confidence: float, is_keyframe: bool = False
     ) -> Estimate:
         return Estimate(
             pose=pose,
@@ -473,7 +468,6 @@ class Tracker:
             source=self.source,
             reason=reason,
             confidence=confidence,
-            dynamic_probability=dynamic,
             keyframe_id=self._keyframe_id,
             is_keyframe=is_keyframe,
         )
@@ -510,15 +504,9 @@ class Estimate:
     source: Source
     reason: Reason
     confidence: float
-    dynamic_probability: NDArray[np.float32]
     keyframe_id: int
     is_keyframe: bool
     reported: F64 | None = None
     reported_confidence: ReportedConfidence | None = None
     weak_direction: F64 | None = None
     update: Callable[[Watch], Update] | None = None
-
-
-def nothing(cloud: PreprocessedScan) -> NDArray[np.float32]:
-    """P(dynamic) (N,) of a cloud of which nothing is known: zero."""
-    return np.zeros(len(cloud.points), np.float32)

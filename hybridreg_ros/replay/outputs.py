@@ -17,6 +17,7 @@ from hybridreg_ros.core import provenance
 from hybridreg_ros.core.pointcloud2 import with_field
 from hybridreg_ros.metrics import mask, trajectory
 from hybridreg_ros.metrics.extrinsic import other_body
+from hybridreg_ros.odometry.warm_up import SCANS
 from hybridreg_ros.replay.bag_reader import GROUND_TRUTH_TOPIC
 from hybridreg_ros.replay.bag_writer import TF, TF_STATIC, BagWriter
 from hybridreg_ros.replay.recording import WORLD_FRAME
@@ -173,8 +174,12 @@ def score_log(log: ReplayLog, truth: Trajectory | None) -> Scores:
 
 
 def stage_times(frames: Sequence[FrameLog]) -> dict[str, dict[str, float]]:
-    """Median, mean and 95th percentile of each stage, milliseconds."""
-    stages = dict.fromkeys(stage for f in frames for stage in f.seconds)
+    """Median, mean and 95th percentile of each stage, milliseconds; all together comes last.
+
+    The first scans, which load code and compile it, are left out where there are others.
+    """
+    frames = frames[SCANS - 1 :] or frames
+    stages = sorted({s: 0 for f in frames for s in f.seconds}, key=lambda s: s == 'total')
     table = {}
     for stage in stages:
         ms = 1000.0 * np.array([f.seconds[stage] for f in frames if stage in f.seconds])

@@ -80,6 +80,9 @@ def _about_clouds(state: Snapshot) -> list[tuple[bytes, str]]:
     if last is not None and last.weak_direction is not None:
         text = f'nothing holds the position along {_weak_direction(last)} (axes of the cloud)'
         found.append((WARN, text))
+    if last is not None and last.adrift:
+        text = 'a new map has begun: poses are as far off as their covariance says, until ~/reset'
+        found.append((WARN, text))
     if state.recent_drops:
         unasked = set(state.recent_drops) - {'paused', 'reset'}
         severe = 'internal_error' in unasked or (unasked and not state.processed)

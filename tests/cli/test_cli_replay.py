@@ -220,7 +220,8 @@ def test_run_in_a_rerun_that_runs(room_bag: Path, tmp_path: Path) -> None:
         free.bind(('127.0.0.1', 0))
         port = free.getsockname()[1]
     viewer = subprocess.Popen(
-        [Path(sys.executable).parent / 'rerun', '--port', str(port), '--save', tmp_path / 'a.rrd']
+        [Path(sys.executable).parent / 'rerun', '--port', str(port), '--save', tmp_path / 'a.rrd'],
+        start_new_session=True,
     )
     try:
         address = f'rerun+http://127.0.0.1:{port}/proxy'
@@ -232,7 +233,7 @@ def test_run_in_a_rerun_that_runs(room_bag: Path, tmp_path: Path) -> None:
             time.sleep(0.2)
         assert saved.stat().st_size > 100_000
     finally:
-        viewer.terminate()
+        os.killpg(viewer.pid, signal.SIGTERM)  # `rerun` only starts the viewer
         viewer.wait(30)
 
 

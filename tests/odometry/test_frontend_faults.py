@@ -175,6 +175,7 @@ def test_teleport_is_lost_then_starts_a_new_map_and_says_so() -> None:
     assert np.diag(results[again].covariance).min() == LOST_VARIANCE
     for result in results[again + 1 :]:  # how far the sensor went unseen stays unknown
         assert 0.1**2 < result.covariance[:3, :3].max() < LOST_VARIANCE
+    assert [r.adrift for r in results] == [k >= again for k in range(len(results))]
     assert results[-1].confidence > 0.9
     assert results[-1].source is Source.KISS_ICP
     assert jumps(results) < 0.3

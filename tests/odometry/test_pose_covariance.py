@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,7 @@ from hybridreg_ros.benchmark.suite_list import chosen
 from hybridreg_ros.core import se3
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.registration import covariance
+from hybridreg_ros.odometry.registration.covariance import Surroundings
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -47,9 +49,23 @@ def test_it_grows_with_the_way_and_not_with_the_time() -> None:
 
 def test_a_turn_moves_what_is_far() -> None:
     spread = np.diag([1e-4, 4e-4, 9e-4, 0.0, 0.0, 1e-4])
-    carried = covariance.carried(spread, np.array([10.0, 0.0, 0.0]))
+    there = se3.transform(np.eye(3), np.array([10.0, 0.0, 0.0]))
+    carried = Surroundings(spread).carried(np.eye(4), there).random
     np.testing.assert_allclose(np.diag(carried), [1e-4, 4e-4 + 1e-2, 9e-4, 0.0, 0.0, 1e-4])
     assert carried[1, 5] == pytest.approx(1e-3)
+
+
+def test_a_drift_grows_with_the_way_and_not_with_its_root() -> None:
+    way = [se3.transform(np.eye(3), np.array([5.0 * k, 0.0, 0.0])) for k in range(9)]
+    known, spread = Surroundings(np.zeros((6, 6))), []
+    for here, there in pairwise(way):
+        known = known.carried(here, there)
+        spread.append(np.sqrt(np.diag(known.covariance)))
+    along, across, turn = np.array(spread)[:, [0, 1, 5]].T
+    np.testing.assert_allclose(along, along[0] * np.arange(1, 9))
+    np.testing.assert_allclose(turn, turn[0] * np.arange(1, 9))
+    swept = 5.0 * turn[:7].sum()  # each turn carries all that comes after
+    assert across[7] == pytest.approx(np.hypot(along[7], swept))
 
 
 @pytest.mark.parametrize(('twist', 'speed'), [(None, 5.0), (np.array([2.0, 0, 0, 0, 0, 0]), 2.5)])

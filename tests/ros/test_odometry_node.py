@@ -46,7 +46,10 @@ def stamp() -> int:
 
 def test_odometry_follows_the_motion(probe):
     probe.call('reset')
-    poses = [probe.answer(cloud(room(0.05 * k), stamp())).pose.pose.position for k in range(6)]
+    msgs = [probe.answer(cloud(room(0.05 * k), stamp())).pose for k in range(6)]
+    first = np.reshape(msgs[0].covariance, (6, 6))
+    assert (np.linalg.eigvalsh(first) > 0).all()  # zeros would say that nothing is known of it
+    poses = [m.pose.position for m in msgs]
     x = np.array([p.x for p in poses])
     assert np.abs(x - 0.05 * np.arange(6)).max() < 0.02
     assert max(abs(p.y) + abs(p.z) for p in poses) < 0.03

@@ -235,6 +235,15 @@ class TestDiagnostics:
             frame = of_frame(last, 'hybridreg', to_time(10**9)).status[0]
             assert values(frame)['weak_direction'] == text
 
+    def test_a_new_map_warns_for_good(self):
+        monitor = Monitor()
+        for reason in (Reason.RECOVERED, Reason.OK):
+            last = replace(result(Source.HYBRIDREG, reason), adrift=True)
+            monitor.processed(last, monitor.arrived())
+            found = status(monitor.snapshot(), SETTING)
+            assert found.level == DiagnosticStatus.WARN
+            assert 'a new map has begun' in found.message
+
     def test_drops_warn_once_and_stay_counted(self):
         monitor = Monitor()
         monitor.processed(result(Source.HYBRIDREG), monitor.arrived())

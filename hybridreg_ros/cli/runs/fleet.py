@@ -99,11 +99,8 @@ def run(args: argparse.Namespace, jobs: Sequence[session.Job], work: Work) -> in
     print(tables.text_table(index.rows(index.worst_first(outcomes))))
     print(f'written: {page}, and of each log report.html metrics.json odometry.tum dynamic.mcap')
     by_bag = {str(j.bag): known[j.out] for j in jobs if j.out in known}
-    write_result(args, {bag: dict(o.metrics) | _told(o) for bag, o in by_bag.items()})
+    told = {b: {**o.metrics, 'status': o.status, 'reason': o.reason} for b, o in by_bag.items()}
+    write_result(args, told)
     if any(o.reason == INTERRUPTED for o in outcomes):
         return 130
     return 0 if all(o.status in (DONE, KEPT) for o in outcomes) else 2
-
-
-def _told(outcome: Outcome) -> dict[str, str]:
-    return {'status': outcome.status, 'reason': outcome.reason}

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,8 +20,6 @@ F64 = NDArray[np.float64]
 
 _LARGEST_STD = 10.0
 """Cap of standard deviations (metres, radians): below LOST_VARIANCE, far above any use."""
-
-
 _SLOW = np.array([0.5, 0.2])
 """Speed (m/s) and rate (rad/s) at which a sensor that was at rest may be moved by hand."""
 _FIRST_SPEED = np.array([5.0, 1.75])
@@ -33,6 +31,11 @@ _COASTING = 100.0
 """Growth of the covariance per frame whose pose is only predicted."""
 _WEAK = 0.5
 """Share of a direction that must lie in the space that nothing holds."""
+_DRIFT = np.repeat([0.002, 0.001], 3)
+"""Standard deviation of what the motion of a sensor is off by all the time, along and about each
+of its axes: m and rad per metre from a keyframe. Bent depth images, rings on few surfaces and
+loose normals pull every scan the same way. Likeliest for positions on development sequences
+(docs/lab/2026-11-29-drift.md)."""
 
 
 def lost() -> F64:
@@ -99,12 +102,33 @@ def of_registration(fit: Fit, ahead_s: float, factor: float) -> F64:
     return covariance
 
 
-def carried(covariance: F64, shift: F64) -> F64:
-    """Covariance (6, 6) of what is fixed to a pose of this covariance, at a shift (3,) from it."""
-    lever = np.eye(6)
-    lever[:3, 3:] = -se3.hat(shift)
-    result: F64 = lever @ covariance @ lever.T
-    return result
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """How far off what a sensor sees from a pose is, odom axes.
+
+    Attributes:
+        random: (6, 6) covariance of the errors that differ from scan to scan.
+        drift: (6, 6) a column for each bias of the motion: what one standard deviation of it has
+            added up to since the start.
+    """
+
+    random: F64
+    drift: F64 = field(default_factory=lambda: np.zeros((6, 6)))
+
+    @property
+    def covariance(self) -> F64:
+        """Covariance (6, 6) of both."""
+        both: F64 = self.random + self.drift @ self.drift.T
+        return both
+
+    def carried(self, start: F64, pose: F64) -> Surroundings:
+        """What is fixed to a pose (4, 4) of these surroundings, at another pose (4, 4)."""
+        shift = pose[:3, 3] - start[:3, 3]
+        lever, turn = np.eye(6), np.zeros((6, 6))
+        lever[:3, 3:] = -se3.hat(shift)
+        turn[:3, :3] = turn[3:, 3:] = pose[:3, :3]
+        drift = lever @ self.drift + np.linalg.norm(shift) * turn * _DRIFT
+        return Surroundings(lever @ self.random @ lever.T, drift)
 
 
 def weakest_m(covariance: F64) -> float:

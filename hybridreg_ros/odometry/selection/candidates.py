@@ -32,6 +32,9 @@ _FIRM = 0.2
 """Largest standard deviation along the worst axis, voxels, of a scan that may change the map."""
 _KNOWN = 0.8
 """Share of the points that must find the map for it to show the place already."""
+UNHELD = 0.3
+"""P(right) of a pose along a direction that nothing holds: a normal error of 0.5 m is within 0.2 m
+with this probability."""
 AGAINST = 3.0
 """Log odds that a pose loses per tenfold distance from the predicted one, beyond what is usual: as
 logistic models fitted to poses of development sequences have it (2.7 to 3.5)."""
@@ -92,22 +95,26 @@ class Candidate:
     rank: float = 0.0
 
 
-def rank(evidence: PoseEvidence, verdict: Verdict, innovation: float, soon: bool) -> float:
+def rank(
+    evidence: PoseEvidence, verdict: Verdict, innovation: float, soon: bool, held: bool = True
+) -> float:
     """Order of the poses found for one scan: log odds by the evidence, less by distance.
 
     How loosely a pose is held says how far off it may be, not which of two is the right one: a
     wrong one is often the stiffer. So that does not count where the motion says where the scan is.
+    One that nothing holds along a direction is only as good there as the prediction.
 
     Args:
         evidence: what speaks for the pose.
         verdict: its confidence and faults; a pose with a fault comes last.
         innovation: how far it is off the predicted one (`innovation`).
         soon: whether the scan follows the last one closely.
+        held: whether surfaces hold the pose in all directions.
     """
     if verdict.fault is not None:
         return -np.inf
     firm = of_evidence(replace(evidence, worst_axis=FIRM)) if soon else verdict.confidence
-    return against_motion(firm, innovation)
+    return against_motion(firm if held else UNHELD * firm, innovation)
 
 
 def against_motion(confidence: float, innovation: float) -> float:

@@ -27,7 +27,6 @@ _FINEST_RAD = np.deg2rad(0.4)
 _COARSEST_RAD = np.deg2rad(4.0)
 _HIDDEN = 2.0
 """Standard deviations behind a surface at which it hides a point."""
-_FULL_TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 WIDTH, HEIGHT = 900, 300
-LEFT, RIGHT, TOP, BOTTOM = 84, 16, 14, 52
+LEFT, RIGHT, TOP, BOTTOM = 108, 16, 14, 52
 MAX_POINTS = 2000
 
 
@@ -158,7 +158,7 @@ def time_chart(
     bands: Sequence[Band] = (),
     y_limits: tuple[float, float] | None = None,
 ) -> str:
-    """Lines over time in seconds, with a legend; `label` is read by screen readers."""
+    """Lines over time (s), the first on top, with a legend; `label` is read by screen readers."""
     x0, x1 = _limits([s.x for s in series], from_zero=False)
     y0, y1 = y_limits or _limits([s.y for s in series], from_zero=True)
     axes = _Axes(x0, x1, y0, y1, HEIGHT)
@@ -169,12 +169,12 @@ def time_chart(
         for b in bands
     ]
     body += _grid(axes, 'time (s)', y_label)
-    body += [_path(axes, s) for s in series]
+    body += [_path(axes, s) for s in reversed(series)]
     return _svg(axes, body, label, 'time') + legend(series)
 
 
 def plan_chart(series: Sequence[Series], x_label: str, y_label: str, label: str) -> str:
-    """Paths seen from above, both axes on one scale."""
+    """Paths seen from above, the first on top, both axes on one scale."""
     x0, x1 = _limits([s.x for s in series], from_zero=False)
     y0, y1 = _limits([s.y for s in series], from_zero=False)
     width = WIDTH - LEFT - RIGHT
@@ -185,7 +185,7 @@ def plan_chart(series: Sequence[Series], x_label: str, y_label: str, label: str)
     axes = _Axes(
         mid_x - half_x, mid_x + half_x, mid_y - half_y, mid_y + half_y, height + TOP + BOTTOM
     )
-    body = _grid(axes, x_label, y_label) + [_path(axes, s) for s in series]
+    body = _grid(axes, x_label, y_label) + [_path(axes, s) for s in reversed(series)]
     if len(series) and len(series[0].x):
         start = (axes.px(float(series[0].x[0])), axes.py(float(series[0].y[0])))
         body.append(f'<circle class="start" cx="{start[0]:.1f}" cy="{start[1]:.1f}" r="5"/>')

@@ -136,7 +136,7 @@ def _colours(view: FrameView, distance: NDArray[np.float64]) -> NDArray[np.uint8
 def render(view: FrameView) -> bytes:
     """PNG of a frame in angles around the sensor; near points cover far ones."""
     stream = io.BytesIO()
-    drawn(view).save(stream, 'PNG', optimize=True)
+    drawn(view).save(stream, 'PNG')
     return stream.getvalue()
 
 

@@ -263,17 +263,16 @@ def _worst(run: ReportRun, errors: FrameErrors | None, start: int) -> str:
     return f'<li>Look first at {links}.</li>' if links else ''
 
 
-def _scene_section(run: ReportRun, errors: FrameErrors | None) -> str:
+def _scene_section(shown: scene.Scene, errors: FrameErrors | None) -> str:
     colour = 'step error' if errors is not None else 'confidence'
-    caption = (
-        f'What stood still (grey), thinned to one point per {1000 * run.scene.voxel_m:.0f} mm, '
-        f'the path coloured by {colour}, keyframes (squares), and what moves in the chosen frame '
-        '(orange). Drag or use the arrow keys to turn, wheel or + and - to zoom.'
-        if run.scene is not None
-        else ''
+    squares = ', keyframes (squares)' if shown.keyframes else ''
+    text = (
+        f'What stood still (grey), thinned to one point per {1000 * shown.voxel_m:.0f} mm, '
+        f'the path coloured by {colour}{squares}, and what moves in the chosen frame (orange). '
+        'Drag or use the arrow keys to turn, wheel or + and - to zoom.'
     )
     body = Path(__file__).with_name('report_scene.html').read_text('utf-8')
-    return section('The scene', f'<p class="soft">{escape(caption)}</p>{body}')
+    return section('The scene', f'<p class="soft">{text}</p>{body}')
 
 
 def write_report(path: Path, title: str, subtitle: str, runs: Sequence[ReportRun]) -> None:
@@ -292,13 +291,13 @@ def write_report(path: Path, title: str, subtitle: str, runs: Sequence[ReportRun
     others = [(r.name, r.scores) for r in runs[1:]]
     view = _scene(first, errors[0], start)
     sections = (
-        _scene_section(first, errors[0]) if view else '',
+        _scene_section(first.scene, errors[0]) if view and first.scene else '',
         section('Scores', tables.score_table([(r.name, r.log, r.scores) for r in runs])),
         _trajectories(runs, errors),
         _error_charts(runs, errors, start),
         _confidence(first, start),
         _pictures(first, start),
-        section('Time per stage', tables.time_table(first.log)) if first.log.frames else '',
+        section('Time per stage (ms)', tables.time_table(first.log)) if first.log.frames else '',
         tables.drop_table(first.log, start),
         tables.provenance(first.metrics),
     )

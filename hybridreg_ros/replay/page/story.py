@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.core.scan import NS_PER_S
+from hybridreg_ros.replay.outputs import stage_times
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -85,12 +86,10 @@ def _how_well(scores: Scores, others: Sequence[tuple[str, Scores]]) -> list[str]
         text += f'; {t.ate_percent:.2f} % of its length)' if np.isfinite(t.ate_percent) else ')'
         text += f', a step {length(t.step_mean_mm)} on average'
         for name, other in others:
-            if other.trajectory is not None:
-                theirs = 1000.0 * other.trajectory.ate_rmse_m
-                text += f'. {name} on the same clouds: {length(theirs)}'
-                ratio = theirs / max(ate, 1e-9)
-                more, what = (ratio, 'more') if ratio >= 1.0 else (1.0 / ratio, 'less')
-                text += f', {more:.1f} times as much' if what == 'more' else f', {more:.1f} x less'
+            if (o := other.trajectory) is not None:
+                theirs = 1000.0 * o.ate_rmse_m
+                more = theirs / max(ate, 1e-9)
+                text += f'. {name} on the same clouds: {length(theirs)}, {more:.1f} times as much'
         texts.append(text + '.')
     if scores.mask is not None and np.isfinite(scores.mask.iou):
         m = scores.mask
@@ -119,13 +118,12 @@ def _what_went_wrong(log: ReplayLog, start: int) -> list[str]:
 
 
 def _speed(log: ReplayLog) -> list[str]:
-    total = [1000.0 * f.seconds['total'] for f in log.frames if 'total' in f.seconds]
-    if len(total) < 2:
+    total = stage_times(log.frames).get('total')
+    if total is None or len(log.frames) < 2:
         return []
     gap = 1e-6 * (log.frames[-1].stamp - log.frames[0].stamp) / (len(log.frames) - 1)
-    took = float(np.median(total))
-    verdict = 'faster than they came' if took < gap else 'slower than they came'
-    return [f'A cloud took {took:.0f} ms (median), {verdict} (every {gap:.0f} ms).']
+    took, verdict = total['median'], 'faster' if total['median'] < gap else 'slower'
+    return [f'A cloud took {took:.0f} ms (median), {verdict} than they came (every {gap:.0f} ms).']
 
 
 def sentences(

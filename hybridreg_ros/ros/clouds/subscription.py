@@ -95,6 +95,7 @@ class CloudSubscription:
         self.state = 'waiting for a publisher'
         self._timer: Timer | None = None
         if qos == 'auto':
+            node.get_logger().info(f'subscribed to {self.topic}, {self.state}')
             self._timer = node.create_timer(
                 _LOOK_EVERY_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME)
             )

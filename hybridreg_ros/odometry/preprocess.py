@@ -166,21 +166,9 @@ def preprocess(
         icp_rows = icp_rows[np.arange(most) * len(icp_rows) // most]
     wanted = deskewed and config.intra_scan
     times = scan.times - instant_s if wanted and scan.times is not None else None
-    return PreprocessedScan(
-        points,
-        usable,
-        map_rows,
-        icp_rows,
-        means,
-        counts,
-        cube,
-        deskewed,
-        instant_s,
-        reported_s,
-        twist,
-        times,
-        share,
-    )
+    thinned = map_rows, icp_rows, means, counts, cube
+    when = instant_s, reported_s, twist, times
+    return PreprocessedScan(points, usable, *thinned, deskewed, *when, share)
 
 
 def _for_registration(

@@ -66,8 +66,7 @@ class OdometryResult:
         reason: why that branch.
         confidence: calibrated P(pose right), [0, 1]; 0 when LOST.
         dynamic_probability: (N,) float32 in [0, 1], one value per point of `scan.points`.
-        mask_known: False while earlier scans do not reach back far enough (a quarter of a second)
-            to tell what stands still; no point is published as static then.
+        mask_known: whether earlier scans reach back far enough (0.25 s) to tell what stands still.
         keyframe_id: number of the keyframe the scan was matched against.
         is_keyframe: True when this scan became a keyframe.
         accepted: False when the scan was refused (bad stamp, frame change): pose repeats.

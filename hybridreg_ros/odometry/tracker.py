@@ -151,7 +151,8 @@ class Tracker:
         if len(self._world.map) == 0:
             return self._begin(cloud, encoded, stamp, Reason.FIRST_SCAN)
         expected = self._continuity.expect(self._motion.expect(stamp), cloud, stamp)
-        trust = self._world.dynamics.trust(cloud.icp_points, predicted := expected.pose)
+        predicted, moves = expected.pose, self._world.dynamics.recalled
+        trust = np.float32(1.0) - moves(cloud.icp_points, predicted)
         if self.lost:
             found = self._locator.relocate(cloud, self._motion.pose)
         else:

@@ -13,7 +13,7 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.odometry.dynamics import segments
 from hybridreg_ros.odometry.map.thinning import occupied
-from hybridreg_ros.odometry.map.voxel_hash import EMPTY, find_voxel, numbered, voxel_key
+from hybridreg_ros.odometry.map.voxel_hash import EMPTY, find_slot, voxel_key
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 _RAYS = 2.0
 """Edge of a far cell, in distances between neighbouring rays."""
 LARGER = {'depth': 1.0, 'lidar': 1.4}
-"""Edge of the cells of the mask, beside that of a voxel or of the rays: a quarter of the time of a
-lidar's mask goes, and all of its figures keep (docs/lab/2026-11-29-mask-at-its-floors.md)."""
+"""Edge of the cells of the mask, in voxels (docs/lab/2026-11-29-mask-at-its-floors.md)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +60,8 @@ class Cells:
     Attributes:
         grid: how large they are.
         T_odom_sensor: (4, 4) pose of the scan.
-        keys: (M,) int64 of the cells, ascending.
-        slots: (C,) int32 hash table of the cells by their keys.
+        table: (C,) int64 hash table of cell keys.
+        slots: (C,) int32, cell of each table entry.
         start: (M + 1,) int32, with `other` the cells around each (`segments.neighbours`).
         other: (K,) int32.
         of_point: (N,) int32 cell of each point that the cells were made of, -1 = none.
@@ -75,7 +74,7 @@ class Cells:
 
     grid: Grid
     T_odom_sensor: F64
-    keys: NDArray[np.int64]
+    table: NDArray[np.int64]
     slots: NDArray[np.int32]
     start: NDArray[np.int32]
     other: NDArray[np.int32]
@@ -88,36 +87,20 @@ class Cells:
 
     @classmethod
     def of(
-        cls,
-        points: NDArray[np.float32],
-        counts: NDArray[np.int32],
-        T_odom_sensor: F64,
-        grid: Grid,
+        cls, points: NDArray[np.float32], counts: NDArray[np.int32], T_odom_sensor: F64, grid: Grid
     ) -> Cells:
         """Cells of thinned points (N, 3), sensor frame, each the mean of so many (N,)."""
         everywhere = np.ones(len(points), np.bool_)
-        _, _, keys, _, _, cell = occupied(grid.warped(points), 1.0, everywhere)
+        table, slots, keys, _, _, cell = occupied(grid.warped(points), 1.0, everywhere)
         order = np.argsort(keys)
         rank = np.full(len(keys) + 1, -1, np.int32)
         rank[order] = np.arange(len(keys), dtype=np.int32)
-        keys, cell = keys[order], rank[cell]
-        start, other = segments.neighbours(keys)
+        slots, cell = rank[slots], rank[cell]
+        start, other = segments.neighbours(keys[order])
         total, centre, normal, flat = segments.normals(points, counts, cell, start, other)
         size = np.maximum(grid.near_m, grid.slope * np.linalg.norm(centre, axis=1))
-        return cls(
-            grid,
-            T_odom_sensor,
-            keys,
-            numbered(keys),
-            start,
-            other,
-            cell,
-            total,
-            size,
-            centre,
-            normal,
-            flat,
-        )
+        around = start, other, cell
+        return cls(grid, T_odom_sensor, table, slots, *around, total, size, centre, normal, flat)
 
     def __len__(self) -> int:
         """Number of cells."""
@@ -157,7 +140,7 @@ class Cells:
         """
         there = se3.apply(se3.inverse(self.T_odom_sensor) @ T_odom_sensor, points)
         out = np.zeros((len(points), values.shape[1] + 1), np.float32)
-        _values_at(self.grid.warped(there), self.keys, self.slots, values, out)
+        _values_at(self.grid.warped(there), self.table, self.slots, values, out)
         return out
 
 
@@ -174,26 +157,26 @@ def _warp(points, near, slope, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _values_at(warped, keys, slots, values, out):  # type: ignore[no-untyped-def]
+def _values_at(warped, table, slots, values, out):  # type: ignore[no-untyped-def]
     """The kernel of `Cells.at`."""
     last = values.shape[1]
     for row in range(len(warped)):
         key = voxel_key(warped[row, 0], warped[row, 1], warped[row, 2], 1.0)
         if key == EMPTY:
             continue
-        cell = find_voxel(key, slots, keys)
-        if cell >= 0:
-            out[row, :last] = values[cell]
+        slot = find_slot(table, key)
+        if table[slot] != EMPTY:
+            out[row, :last] = values[slots[slot]]
             out[row, last] = 1.0
             continue
         found = 0
         for di in range(-1, 2):
             for dj in range(-1, 2):
                 for dk in range(-1, 2):
-                    cell = find_voxel(key + (di << 42) + (dj << 21) + dk, slots, keys)
-                    if cell >= 0:
+                    slot = find_slot(table, key + (di << 42) + (dj << 21) + dk)
+                    if table[slot] != EMPTY:
                         for column in range(last):
-                            out[row, column] += values[cell, column]
+                            out[row, column] += values[slots[slot], column]
                         found += 1
         if found:
             for column in range(last):

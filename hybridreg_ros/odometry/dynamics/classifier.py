@@ -62,15 +62,6 @@ class Dynamics:
         self._past = Past()
         self._last: _Last | None = None
 
-    def trust(self, points: F32, T_odom_sensor: F64) -> F32:
-        """Weight (K,) of points for a registration: low near what moved in the last scan.
-
-        Args:
-            points: (K, 3) float32, sensor frame, metres.
-            T_odom_sensor: (4, 4) predicted pose.
-        """
-        return np.float32(1.0) - self.recalled(points, T_odom_sensor)
-
     def recalled(self, points: F32, T_odom_sensor: F64) -> F32:
         """P(dynamic) (N,) of points (N, 3), sensor frame, by what the last update said there."""
         if self._last is None:

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 LOOKS = 8
 """Earlier scans that are kept."""
 _TELLING_S = 0.25
-"""Age from which an earlier scan tells who walks: at 1 m/s half a body's width from where it saw
-them. By a scan before that, what moves cannot be told from what stands, however good the mask."""
+"""Age from which an earlier scan tells who walks: half a body's width off at 1 m/s. Before that,
+no mask tells what moves from what stands."""
 _LONGEST_S = 3.0
 """An earlier scan goes when the next one is as old as this."""
 NOISE = {'lidar': (0.04, 0.004, 0.0), 'depth': (0.006, 0.003, 0.0012)}
@@ -116,10 +116,9 @@ def evidence_of(
     """
     count, out = len(cells), np.zeros((len(cells), COLUMNS), np.float32)
     margin, speed = np.empty((2, len(looks), count), np.float32)
+    where = cells.centre, cells.T_odom_sensor
     for row, (age_s, image) in enumerate(looks):
-        margin[row], speed[row] = image.look(
-            cells.centre, cells.T_odom_sensor, now, NOISE[kind], age_s
-        )
+        margin[row], speed[row] = image.look(*where, now, NOISE[kind], age_s)
     _sum_up(margin, speed, out)
     ranges = np.linalg.norm(cells.centre, axis=1)
     facing = np.abs((cells.normal * cells.centre).sum(axis=1)) / np.maximum(ranges, 1e-6)
@@ -149,9 +148,7 @@ def _said(cells: Cells, static: F32) -> NDArray[np.float64]:
 @compiled
 def _bent(x):  # type: ignore[no-untyped-def]
     """Logarithm on both sides of 0."""
-    if x == 0.0:  # most margins
-        return 0.0
-    return np.log1p(x) if x >= 0.0 else -np.log1p(-x)
+    return np.log1p(x) if x > 0.0 else -np.log1p(-x) if x < 0.0 else 0.0
 
 
 @compiled

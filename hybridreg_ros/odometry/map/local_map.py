@@ -119,11 +119,7 @@ def _no_voxels(count: int) -> dict[str, Any]:
     """The arrays of a `Grid` for so many cubes, a power of two, all empty."""
     slots = zeros(4 * count, np.int32)
     slots[:] = -1
-    return {
-        'slots': slots,
-        'keys': zeros(count, np.int64),
-        'spans': zeros((count, 3), np.int32),
-    }
+    return {'slots': slots, 'keys': zeros(count, np.int64), 'spans': zeros((count, 3), np.int32)}
 
 
 def _no_points(count: int) -> dict[str, Any]:
@@ -158,12 +154,7 @@ class LocalMap:
         age_s: seconds from its first points to its last ones, on a clock that never goes back.
     """
 
-    def __init__(
-        self,
-        voxel_size_m: float,
-        reach_m: float,
-        noisy: bool = False,
-    ) -> None:
+    def __init__(self, voxel_size_m: float, reach_m: float, noisy: bool = False) -> None:
         sizes = (voxel_size_m * _COARSE**power for power in (0.0, 0.5, 1.0))
         self.fine, self.middle, self.coarse = (
             VoxelLevel(size, POINTS_PER_VOXEL, noisy) for size in sizes

@@ -79,15 +79,3 @@ def add_voxel(number, slots, keys):  # type: ignore[no-untyped-def]
     while slots[slot] >= 0:
         slot = (slot + 1) & mask
     slots[slot] = number
-
-
-@compiled
-def numbered(keys):  # type: ignore[no-untyped-def]
-    """Table (C,) int32 of `find_voxel` for voxels with keys (V,) that differ."""
-    capacity = 16
-    while capacity < 2 * len(keys):
-        capacity *= 2
-    slots = np.full(capacity, -1, np.int32)
-    for number in range(len(keys)):
-        add_voxel(number, slots, keys)
-    return slots

@@ -210,13 +210,12 @@ class RangeImage:
         """
         T = se3.inverse(self.T_odom_sensor) @ T_odom_sensor
         margin, speed = np.empty((2, len(points)), np.float32)
-        ranges, pixels = _seen(points, self.view, T)
-        near, far = self._near.ravel(), self._far.ravel()
-        within = self._rows[0] * self.view.width, (self._rows[1] + 1) * self.view.width
-        _margins(ranges, pixels, (near, far, self._inside.ravel()), within, noise, margin)
-        saw = now._near.ravel(), now._far.ravel()
+        at, width = _seen(points, self.view, T), self.view.width
+        edges = self._rows[0] * width, (self._rows[1] + 1) * width
+        saw = self._near.ravel(), self._far.ravel(), self._inside.ravel(), *edges
         view = self.view.basis, se3.inverse(T)[:3, 3].copy(), *_scaled(self.view)
-        _gone(points, (ranges, pixels, far), view, saw, noise, age_s, margin, speed)
+        seen_now = now._near.ravel(), now._far.ravel()
+        _look(points, at, view, saw, seen_now, noise, age_s, (margin, speed))
         return margin, speed
 
 
@@ -343,38 +342,32 @@ def _stand(ranges, pixels, images, slack, share, out):  # type: ignore[no-untype
 
 
 @compiled
-def _margins(ranges, pixels, images, within, noise, margin):  # type: ignore[no-untyped-def]
-    near, far, inside = images
+def _look(points, at, view, saw, now, noise, age_s, out):  # type: ignore[no-untyped-def]
+    """The kernel of `RangeImage.look`, by where points (N, 3) were looked for."""
+    ranges, pixels = at
+    near, far, inside, lowest, highest = saw
+    basis, origin, low, scale, shape, wraps = view
+    margin, speed = out
     for i in range(len(pixels)):
         pixel, r = pixels[i], ranges[i]
-        margin[i] = np.nan
+        margin[i], speed[i] = np.nan, -1.0
         if pixel < 0:
             continue
         if far[pixel] == 0.0:
-            if within[0] <= pixel < within[1]:
-                margin[i] = np.inf
+            margin[i] = np.inf if lowest <= pixel < highest else np.nan
         elif inside[pixel]:
             sigma = noise[0] + noise[1] * r + noise[2] * r * r
             margin[i] = (max(near[pixel] - r, 0.0) - max(r - far[pixel], 0.0)) / sigma
-
-
-@compiled
-def _gone(points, looked, view, now, noise, age_s, margin, speed):  # type: ignore[no-untyped-def]
-    """Speeds of `RangeImage.look`, by where points (N, 3) were looked for and what was there."""
-    ranges, pixels, far = looked
-    basis, origin, low, scale, shape, wraps = view
-    for i in range(len(pixels)):
-        speed[i] = -1.0
         if not margin[i] < -_HIDDEN:  # nor if it is NaN
             continue
-        share = far[pixels[i]] / ranges[i]  # what hid it is so far along the way from the origin
+        share = far[pixel] / r  # what hid it is so far along the way from the origin
         x = origin[0] + share * (points[i, 0] - origin[0])
         y = origin[1] + share * (points[i, 1] - origin[1])
         z = origin[2] + share * (points[i, 2] - origin[2])
         f = basis[0, 0] * x + basis[0, 1] * y + basis[0, 2] * z
         s = basis[1, 0] * x + basis[1, 1] * y + basis[1, 2] * z
         u = basis[2, 0] * x + basis[2, 1] * y + basis[2, 2] * z
-        q, at = _place(f, s, u, low, scale, shape, wraps)
+        q, there = _place(f, s, u, low, scale, shape, wraps)
         sigma = noise[0] + noise[1] * q + noise[2] * q * q
-        if at >= 0 and now[1][at] > 0.0 and now[0][at] - q > _HIDDEN * sigma:
-            speed[i] = (ranges[i] - far[pixels[i]]) / age_s
+        if there >= 0 and now[1][there] > 0.0 and now[0][there] - q > _HIDDEN * sigma:
+            speed[i] = (r - far[pixel]) / age_s

@@ -100,9 +100,10 @@ def test_kitti_poses_of_the_camera_are_moved_to_the_lidar(kitti):
     (kitti / 'calib.txt').write_text('P0: 1 2 3\n')
     with pytest.raises(FileFormatError, match='expected a line Tr:'):
         KittiOdometry(kitti)
-    (kitti / 'calib.txt').write_text('Tr: a b c\n')
-    with pytest.raises(FileFormatError, match='something other than numbers'):
-        KittiOdometry(kitti)
+    for damaged in (b'Tr: a b c\n', b'Tr: 1 0 \xc9\n'):
+        (kitti / 'calib.txt').write_bytes(damaged)
+        with pytest.raises(FileFormatError, match='something other than numbers'):
+            KittiOdometry(kitti)
 
 
 def test_broken_kitti_folders_are_refused(kitti, tmp_path):

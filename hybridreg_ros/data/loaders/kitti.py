@@ -81,7 +81,7 @@ def calibration(folder: Path) -> F64:
     path = folder / 'calib.txt'
     if not path.exists():
         return np.eye(4)
-    for line in path.read_text(encoding='utf-8').splitlines():
+    for line in path.read_text('utf-8', 'replace').splitlines():
         name, _, rest = line.partition(':')
         if name.strip() in ('Tr', 'Tr_velo_to_cam', 'Tr_velo_cam'):
             try:

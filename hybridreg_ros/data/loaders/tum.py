@@ -82,7 +82,7 @@ class TumRgbd(FramePairs):
 def _depth_list(path: Path) -> tuple[F64, list[str]]:
     """Times (N,), seconds, and file names of depth.txt."""
     try:
-        lines = path.read_text(encoding='utf-8').splitlines()
+        lines = path.read_text('utf-8', 'replace').splitlines()
     except OSError as error:
         raise FileFormatError(f'cannot read {path}: {error.strerror}') from None
     rows = [w for line in lines if (w := line.split('#')[0].split())]

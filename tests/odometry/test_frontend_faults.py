@@ -119,7 +119,8 @@ def test_a_walk_that_turns_back_at_once_is_not_taken_for_one_that_goes_on() -> N
     """The scans stand better elsewhere than where the motion so far leads."""
     way = walk(20)
     results = run(scans([*way, *way[::-1], *way], lidar_rays(120, 16), world=ROOM))
-    assert sum(is_lost(r) for r in results) <= 6  # 11 when poses as expected are always taken
+    assert sum(is_lost(r) for r in results) <= 1  # 14 when poses that nothing holds may win
+    assert sum(r.reason is Reason.DEGENERATE for r in results) <= 2
     start = se3.inverse(way[0])
     assert np.linalg.norm((se3.inverse(start @ way[-1]) @ results[-1].pose)[:3, 3]) < 0.1
 

@@ -358,7 +358,7 @@ def table(rows: list[Row]) -> str:
             lines.append(line(pooled(rows, group, method)))
             some = [r for r in rows if r['group'] == group and r['method'] == method]
             ious = [score(MaskCounts(**r['all'])).iou for r in some]
-            notes.append(f'{group}, {method}: mean IoU {np.mean(ious):.3f}')
+            notes.append(f'{group}, {method}: mean IoU {np.nanmean(ious):.3f}')
     return '\n'.join([text_table(lines), *notes])
 
 

@@ -111,7 +111,8 @@ def to_seconds(
             f'time unit {unit!r}: expected auto, normalised, {", ".join(UNITS)} or none'
         )
     # Whole numbers stay so: epoch nanoseconds do not fit a float64.
-    values = raw.astype(np.int64 if raw.dtype.kind in 'iub' else np.float64)
+    with np.errstate(invalid='ignore'):  # signalling NaN are NaN too
+        values = raw.astype(np.int64 if raw.dtype.kind in 'iub' else np.float64)
     finite = np.isfinite(values)
     unusable = len(raw) - int(np.count_nonzero(finite))
     if unusable > _TAIL * len(raw):

@@ -137,3 +137,12 @@ def test_any_bytes_give_believable_times_or_a_note(kind, data):
         kept = found.seconds[found.keep]
         assert 0.0 < np.ptp(kept) <= 1.0 + 1e-9
         assert np.abs(kept).max() <= 2.0 + 1e-9
+
+
+def test_signalling_nan_is_left_out_without_a_warning():
+    raw = np.linspace(0.0, 0.1, 100, dtype=np.float32)
+    raw.view(np.uint32)[7] = 0x7F80_0001
+    with np.errstate(invalid='raise'):
+        found = to_seconds(raw, 0)
+    assert found.seconds is not None
+    assert np.flatnonzero(~found.keep).tolist() == [7]

@@ -15,7 +15,7 @@ import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from docs_tables import put
@@ -25,6 +25,9 @@ from hybridreg_ros.metrics.registration import bootstrap_interval, wilson_interv
 from hybridreg_ros.model.checkpoint import load_checkpoint, packaged_weights
 from hybridreg_ros.training.evaluate import GATE
 from hybridreg_ros.training.report import PairScore, score_from_plain
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 RESULTS = Path(__file__).resolve().parents[1] / 'docs' / 'results'
 REAL = ('pairs_3dmatch', 'pairs_7scenes_fragments')
@@ -37,6 +40,7 @@ RECALL = {
 }
 
 Scores = dict[str, dict[str, PairScore]]
+Limits = tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -90,25 +94,32 @@ def recall(found: list[PairScore]) -> tuple[float, str]:
     return 100 * right / len(found), f'{100 * low:.0f} to {100 * high:.0f}, n = {len(found)}'
 
 
-def recall_rows(scores: Scores) -> list[Row]:
-    """RR of every split."""
+def recall_rows(
+    scores: Scores, rooms: Mapping[str, tuple[Limits, Limits]], streets_goal: float
+) -> list[Row]:
+    """RR of every generated split; `rooms`: floors and goals, in percent, of each of `KINDS`."""
     rows = []
-    for kind, (floors, goals) in RECALL.items():
+    for kind, (floors, goals) in rooms.items():
         for part, floor, goal in zip(KINDS, floors, goals, strict=True):
             value, note = recall(of_split(scores, OURS, f'room-{kind}-{part}'))
             rows.append(Row(f'RR % room-{kind}-{part}', value, floor, goal, note))
-    streets = [f'street-{k}-{p}' for k in RECALL for p in KINDS]
+    streets = [f'street-{k}-{p}' for k in rooms for p in KINDS]
     each = [recall(of_split(scores, OURS, s))[0] for s in streets]
     known = [v for v in each if not math.isnan(v)]
     note = ', '.join(f'{s[7:]} {v:.0f}' for s, v in zip(streets, each, strict=True))
-    rows.append(
-        Row('RR % streets, mean', float(np.mean(known)) if known else math.nan, 90, 99, note)
-    )
+    mean = float(np.mean(known)) if known else math.nan
+    return [*rows, Row('RR % streets, mean', mean, 90, streets_goal, note)]
+
+
+def real_rows(scores: Scores) -> list[Row]:
+    """Recorded pairs of rooms."""
     value, note = recall(of_split(scores, OURS, *REAL))
-    rows.append(Row('RR % real pairs', value, 86, 100, note))
     done = [s.rte_m for s in of_split(scores, OURS, *REAL) if s.right]
     middle = 100 * float(np.median(done)) if done else math.nan
-    return [*rows, Row('median RTE cm, real pairs', middle, 6, 2, least=False)]
+    return [
+        Row('RR % real pairs', value, 86, 100, note),
+        Row('median RTE cm, real pairs', middle, 6, 2, least=False),
+    ]
 
 
 def difference(
@@ -159,8 +170,10 @@ def baseline_rows(scores: Scores) -> list[Row]:
     return rows
 
 
-def confidence_rows(scores: Scores) -> list[Row]:
-    """Calibration over all pairs of all splits."""
+def confidence_rows(
+    scores: Scores, error_limits: tuple[float, float], wrong_limits: tuple[float, float]
+) -> list[Row]:
+    """Calibration over all pairs of all splits, with floor and goal of ECE and of wrong ones."""
     found = list(scores.get(OURS, {}).values())
     if not found:
         return []
@@ -171,8 +184,8 @@ def confidence_rows(scores: Scores) -> list[Row]:
     note = f'{int((~right[sure]).sum())} of {int(sure.sum())} above {GATE}; n = {len(found)}'
     error = calibration.expected_calibration_error(confidence, right)
     return [
-        Row('ECE of the confidence', error, 0.05, 0.02, f'n = {len(found)}', False, 3),
-        Row('wrong above the gate %', wrong, 2, 0.1, note, False),
+        Row('ECE of the confidence', error, *error_limits, f'n = {len(found)}', False, 3),
+        Row('wrong above the gate %', wrong, *wrong_limits, note, False),
     ]
 
 
@@ -225,10 +238,11 @@ def main() -> None:
     scores, sources = read(args.files)
     bench = json.loads(args.bench.read_text(encoding='utf-8')) if args.bench else None
     rows = [
-        *recall_rows(scores),
+        *recall_rows(scores, RECALL, 99),
+        *real_rows(scores),
         *mask_rows(scores),
         *baseline_rows(scores),
-        *confidence_rows(scores),
+        *confidence_rows(scores, (0.05, 0.02), (2, 0.1)),
         *cost_rows(bench),
     ]
     plain = [

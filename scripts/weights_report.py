@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from goals_report import KINDS, REAL, Row, recall, table
+from goals_report import OURS, REAL, Row, Scores, confidence_rows, recall, recall_rows, table
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.progress import progress
@@ -29,9 +29,8 @@ from hybridreg_ros.data.loaders.clouds import read_cloud
 from hybridreg_ros.data.loaders.labelled import open_labelled
 from hybridreg_ros.data.loaders.openers import open_pairs
 from hybridreg_ros.data.loaders.posed_frames import recorded_pair
-from hybridreg_ros.metrics import calibration
 from hybridreg_ros.model.budget import Budget
-from hybridreg_ros.training.evaluate import GATE, evaluate, recorded_pairs
+from hybridreg_ros.training.evaluate import evaluate, recorded_pairs
 from hybridreg_ros.training.moving import score_moving
 from hybridreg_ros.training.variants import load_variant
 
@@ -44,7 +43,7 @@ if TYPE_CHECKING:
 
 BUDGET = Budget(5_000, 256)
 ROOMS = {'match': ((99, 97, 93), (99.5, 98.5, 97)), 'lomatch': ((86, 78, 77), (94, 86, 84))}
-"""Floors and goals of RR, in percent, of each of `KINDS`."""
+"""Floors and goals of RR, in percent, of each of `goals_report.KINDS`."""
 CARS = (
     'lidar_semantickitti_04',
     'lidar_semantickitti_01',
@@ -87,29 +86,13 @@ def kitti_pairs(folder: Path) -> list[PointPair]:
 
 def split_rows(scores: dict[str, list[PairScore]]) -> list[Row]:
     """Registration of the generated splits, and the confidence over all of them."""
-    rows = []
-    for kind, (floors, goals) in ROOMS.items():
-        for part, floor, goal in zip(KINDS, floors, goals, strict=True):
-            name = f'room-{kind}-{part}'
-            value, note = recall(scores.get(name, []))
-            rows.append(Row(f'RR % {name}', value, floor, goal, note))
-    streets = {name: recall(found)[0] for name, found in scores.items() if name[:6] == 'street'}
-    note = ', '.join(f'{name[7:]} {value:.0f}' for name, value in streets.items())
-    mean = float(np.mean(list(streets.values()))) if streets else math.nan
-    rows.append(Row('RR % streets, mean', mean, 90, 97, note))
+    every: Scores = {OURS: {s.name: s for found in scores.values() for s in found}}
+    rows = recall_rows(every, ROOMS, 97)
     for kind, floor, goal in (('match', 86, 96.6), ('lomatch', 55, 73.6)):
         found = scores.get(f'room-{kind}-30-50', [])
         alone = 100 * float(np.mean([s.coarse_right for s in found])) if found else math.nan
         rows.append(Row(f'LGR alone % room-{kind}-30-50', alone, floor, goal, f'n = {len(found)}'))
-    every = [s for found in scores.values() for s in found]
-    confidence = np.array([s.confidence for s in every])
-    right = np.array([s.right for s in every], dtype=bool)
-    error = calibration.expected_calibration_error(confidence, right)
-    sure = confidence >= GATE
-    wrong = 100 * float((~right[sure]).mean()) if sure.any() else math.nan
-    note = f'{int((~right[sure]).sum())} of {int(sure.sum())} above {GATE}'
-    rows.append(Row('ECE of the confidence', error, 0.02, 0.01, f'n = {len(every)}', False, 3))
-    return [*rows, Row(f'wrong above {GATE} %', wrong, 1.0, 0.1, note, False)]
+    return [*rows, *confidence_rows(every, (0.02, 0.01), (1.0, 0.1))]
 
 
 def turn_rows(

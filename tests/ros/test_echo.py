@@ -4,11 +4,13 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -54,8 +56,9 @@ def test_prints_messages_and_findings(tmp_path):
         topic = f'/{name}/odom'
         probe.wait(lambda: probe.node.count_subscribers(topic) >= 2, 'the command')
         probe.fresh()
-        for k in range(1, 50):  # the command may find the node later than this test does
-            if process.poll() is not None:
+        end = time.monotonic() + 60.0
+        for k in itertools.count(1):  # the command may find the node later than this test does
+            if process.poll() is not None or time.monotonic() > end:
                 break
             probe.answer(cloud(room(0.05 * (k % 8)), k * STEP_NS))
         output, errors = process.communicate(timeout=60)

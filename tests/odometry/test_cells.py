@@ -78,7 +78,9 @@ def test_what_comes_to_rest_keeps_its_log_odds_for_a_while_and_what_it_hid_does_
     kept = kept_at_rest(cells, odds, moved, 2.0)
     assert (kept[box] == 3.0).all()
     assert (kept[~box] == -3.0).all()
-    assert (kept_at_rest(cells, odds, moved, 6.0) == odds).all()
+    assert (kept_at_rest(cells, odds, moved, 7.0) == odds).all()
+    going = np.where(box, np.float32(1.0), odds)  # by its own evidence
+    assert (kept_at_rest(cells, going, moved, 2.0) == going).all()
     beside = ~box & (cells.centre[:, 1] > 0.7)
     assert beside.sum() > 100
     left = np.where(beside, np.float32(4.0), np.float32(-1000.0))

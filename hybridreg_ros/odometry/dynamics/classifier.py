@@ -30,8 +30,9 @@ _KEEP = 0.8
 """Share of the log odds of a place that carries over to the next scan."""
 _MOST = 8.0
 """Largest log odds that are remembered."""
-_FORGET, _LEAST = 0.5, 1.5
-"""Log odds that a thing at rest loses a second, and below which it no longer counts as moving."""
+_FORGET, _LEAST, _SHARE = 0.5, 1.0, 0.4
+"""Log odds that a thing at rest loses a second, and below which it no longer counts as moving; and
+the share of a part that moved from which on it is one."""
 _STANDS = -1000.0
 """Where nothing moved, so that a place beside it keeps nothing either."""
 FIRST = -1.0
@@ -148,9 +149,9 @@ class Dynamics:
 def kept_at_rest(cells: Cells, odds: F32, before: F32, age_s: float) -> F32:
     """Log odds (M,) of cells, with those of a thing that has come to rest.
 
-    A part that for the most part stands where cells moved is a thing that moved and stays: there
-    it keeps the log odds that it had, less some a second. Where a thing has left, what it hid
-    belongs to other parts, which it did not cover.
+    A part of which much stands where cells moved, and of which less moves now, is a thing that
+    moved and stays: there it keeps the log odds that it had, less some a second. Where a thing has
+    left, what it hid belongs to other parts, of which it covered little.
 
     Args:
         cells: the cells of a scan.
@@ -159,10 +160,10 @@ def kept_at_rest(cells: Cells, odds: F32, before: F32, age_s: float) -> F32:
         age_s: seconds since then.
     """
     part, count = cells.parts
-    moved, rest = before > 0.0, before - np.float32(_FORGET * age_s)
-    share = np.bincount(part, cells.counts * moved, count) / np.bincount(part, cells.counts, count)
-    keeps = moved & (share >= 0.5)[part] & (rest > _LEAST)
-    return np.where(keeps, np.maximum(odds, rest), odds)
+    was, rest = before > 0.0, before - np.float32(_FORGET * age_s)
+    moved, moves = (np.bincount(part, cells.counts * some, count) for some in (was, odds > 0.0))
+    calmer = (moved > moves) & (moved >= _SHARE * np.bincount(part, cells.counts, count))
+    return np.where(was & calmer[part] & (rest > _LEAST), np.maximum(odds, rest), odds)
 
 
 def remembered(before: F32, odds: F32) -> F32:

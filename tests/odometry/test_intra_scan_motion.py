@@ -104,6 +104,23 @@ def test_a_rough_ride_keeps_its_poses_from_the_first_step_on() -> None:
     assert turn_deg < 0.6 * even[0]
 
 
+def test_the_first_map_is_made_again_with_the_angular_acceleration() -> None:
+    def nodding(t: float) -> np.ndarray:
+        turn = np.array([0.0, 0.0, 0.0, 0.0, 0.2 * t + 2.0 * t * t, 0.0])
+        return pose(-1.5 + 4.0 * t, -0.5, 0.0) @ se3.exp(turn)
+
+    odometry = HybridOdometry(OdometryConfig(), model=None)
+    for k in range(2):
+        points = sweep(lambda t, k=k: nodding(0.1 * k + t), k)  # type: ignore[misc]
+        odometry.step(Scan(points, times=TIMES, stamp=1.0 + 0.1 * k))
+    assert odometry._tracker is not None
+    first = odometry._tracker._world.keyframes.last
+    assert first is not None
+    middle = se3.inverse(nodding(0.0)) @ nodding(float(TIMES.mean()))
+    off = se3.inverse(middle) @ first.T_odom_keyframe
+    assert se3.rotation_angle_deg(off[:3, :3]) < 0.3
+
+
 def test_a_velocity_that_proves_wrong_leaves_the_first_map_as_it_was(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

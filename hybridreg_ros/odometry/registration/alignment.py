@@ -155,6 +155,7 @@ def _with_intra_scan_motion(
                 surfaces.variance,
                 scale,
                 (_POINT_SPREAD * level.size_m) ** 2,
+                len(found.terms) + 1,
             )
             T, found, length = intra_scan_update.update(found, T, sums, half_span, prior)
             moved = found.undo(points, times)

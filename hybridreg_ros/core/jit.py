@@ -32,6 +32,7 @@ ALL = 'all'
 HASH_DIGITS = 16
 _IMPORT = re.compile(r'^from (hybridreg_ros[\w.]*) import (\([^)]*\)|[^\n(]+)', re.MULTILINE)
 _HAS_KERNELS = re.compile(r'^from hybridreg_ros\.core\.jit import .*\bcompiled', re.MULTILINE)
+_FAST = {'reassoc', 'contract', 'nsz'}
 _log = logging.getLogger(__name__)
 
 
@@ -48,7 +49,15 @@ def compiled_fast(function: Callable[..., Any]) -> Callable[..., Any]:
 
     For the network's forward pass, which is compared with torch to a tolerance.
     """
-    return _compiled(function, fastmath={'reassoc', 'contract', 'nsz'})
+    return _compiled(function, fastmath=_FAST)
+
+
+def compiled_into(function: Callable[..., Any]) -> Callable[..., Any]:
+    """As `compiled_fast`, and part of each kernel that calls it, whose loops may then be vectors.
+
+    For branchless arithmetic that is too long for LLVM to take in by itself.
+    """
+    return _compiled(function, fastmath=_FAST, forceinline=True)
 
 
 def _compiled(function: Callable[..., Any], **flags: Any) -> Callable[..., Any]:

@@ -42,7 +42,7 @@ def context_of(cells: Cells, evidence: F32, odds: F32, before: F32, kind: str) -
         all three by length), and, of a lidar, of the number of points.
     """
     part, count = cells.parts()
-    mean, peak = _around(cells.start, cells.other, odds, cells.counts)
+    mean, peak = _around(cells.pairs, odds, cells.counts)
     sums, number, points, top, low, high = _pool(
         part, count, cells.counts, odds, evidence, cells.centre
     )
@@ -61,7 +61,7 @@ def context_of(cells: Cells, evidence: F32, odds: F32, before: F32, kind: str) -
 @compiled
 def _joined(odds, mean, peak, evidence, before, of_part, part):  # type: ignore[no-untyped-def]
     """The columns of `context_of`."""
-    out = np.empty((len(odds), COLUMNS), np.float32)
+    out = np.empty((COLUMNS, len(odds)), np.float32).T
     for cell in range(len(out)):
         out[cell, 0], out[cell, 1], out[cell, 2] = odds[cell], mean[cell], peak[cell]
         for k in range(len(_OWN)):
@@ -74,17 +74,17 @@ def _joined(odds, mean, peak, evidence, before, of_part, part):  # type: ignore[
 
 
 @compiled
-def _around(start, other, value, weight):  # type: ignore[no-untyped-def]
-    """Weighted mean and largest value (M,) of each cell and those around it."""
-    mean, peak = np.empty(len(value), np.float32), np.empty(len(value), np.float32)
-    for cell in range(len(value)):
-        total, heavy, most = 0.0, 0.0, -np.inf
-        for k in range(start[cell], start[cell + 1]):
-            total += value[other[k]] * weight[other[k]]
-            heavy += weight[other[k]]
-            most = max(most, value[other[k]])
-        mean[cell], peak[cell] = total / heavy, most
-    return mean, peak
+def _around(pairs, value, weight):  # type: ignore[no-untyped-def]
+    """Weighted mean and largest value (M,) of each cell and those that touch it."""
+    heavy, total, peak = weight.copy(), weight * value, value.copy()
+    for k in range(pairs.shape[1]):
+        a, b = pairs[0, k], pairs[1, k]
+        total[a] += weight[b] * value[b]
+        total[b] += weight[a] * value[a]
+        heavy[a] += weight[b]
+        heavy[b] += weight[a]
+        peak[a], peak[b] = max(peak[a], value[b]), max(peak[b], value[a])
+    return (total / heavy).astype(np.float32), peak
 
 
 @compiled

@@ -114,14 +114,14 @@ def evidence_of(
         Not of a depth camera: in a room they say what a thing is rather than whether it moves.
         26, 27: log odds of motion by the network, and whether it was asked.
     """
-    count, out = len(cells), np.zeros((len(cells), COLUMNS), np.float32)
+    count, out = len(cells), np.zeros((len(cells), COLUMNS), np.float32, order='F')
     margin, speed = np.empty((2, len(looks), count), np.float32)
     where = cells.centre, cells.T_odom_sensor
     for row, (age_s, image) in enumerate(looks):
         margin[row], speed[row] = image.look(*where, now, NOISE[kind], age_s)
     _sum_up(margin, speed, out)
-    ranges = np.linalg.norm(cells.centre, axis=1)
-    facing = np.abs((cells.normal * cells.centre).sum(axis=1)) / np.maximum(ranges, 1e-6)
+    ranges = np.maximum(cells.range_m, 1e-6)
+    facing = np.abs(np.einsum('ij,ij->i', cells.normal, cells.centre)) / ranges
     out[:, 14] = kind == 'depth'
     out[:, 15], out[:, 16] = np.log(looks[-1][0] + 0.05), np.log(looks[0][0] + 0.02)
     out[:, 17] = len(looks) / LOOKS

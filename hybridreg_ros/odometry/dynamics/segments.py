@@ -23,88 +23,98 @@ _FLAT = 0.12
 
 
 @compiled
-def neighbours(keys):  # type: ignore[no-untyped-def]
-    """The occupied cells around each cell and itself.
+def neighbours(first, low, width, column, height):  # type: ignore[no-untyped-def]
+    """Occupied cells that touch, at a face, an edge or a corner.
 
     Args:
-        keys: (M,) int64 of the cells, ascending.
+        first, low, width, column, height: as in `cells.Columns`.
 
     Returns:
-        start (M + 1,) int32 and other (K,) int32: other[start[c]:start[c + 1]] of cell c.
+        (2, K) int32, the lower one of each pair first, ascending by it.
     """
-    start = np.zeros(len(keys) + 1, np.int32)
-    other = np.empty(27 * len(keys), np.int32)
+    pairs = np.empty((2, 13 * len(column) + 1), np.int32)
     count = 0
-    first = np.zeros(9, np.int32)  # of each row of three cells around one, which follow it
-    for cell in range(len(keys)):
-        for row in range(9):
-            low = keys[cell] + ((row // 3 - 1) << 42) + ((row % 3 - 1) << 21) - 1
-            k = first[row]
-            while k < len(keys) and keys[k] < low:
-                k += 1
-            first[row] = k
-            while k < len(keys) and keys[k] <= low + 2:
-                other[count] = k
-                count += 1
-                k += 1
-        start[cell + 1] = count
-    return start, other[:count].copy()
+    for cell in range(len(column)):
+        own = column[cell]
+        for line in range(own, own + width + 1, width):
+            start = cell + 1 if line == own else first[line - 1]
+            for other in range(start, first[line + 2]):
+                pairs[0, count], pairs[1, count] = cell, other
+                count += abs(height[other] - height[cell]) <= 1
+    return pairs[:, :count].copy()
 
 
 @compiled
-def normals(points, counts, cell, start, other):  # type: ignore[no-untyped-def]
+def normals(points, counts, cell, pairs):  # type: ignore[no-untyped-def]
     """Mean and normal of each cell from the points in it and in the 26 around it.
 
     Args:
         points: (N, 3), sensor at the origin, any axes, metres.
         counts: (N,) how many measured points each is the mean of.
-        cell: (N,) int32 cell of each point, -1 = none.
-        start, other: `neighbours` of the cells.
+        cell: (N,) int32 cell of each point, -1 = none; none of M cells is empty.
+        pairs: `neighbours` of the cells.
 
     Returns:
-        total (M,) measured points, centre (M, 3) their mean, normal (M, 3) unit, towards the
-        sensor, and flat (M,) bool, whether the surroundings are flat enough for the normal to mean
-        anything.
+        total (M,) measured points, centre (M, 3) their mean, its range (M,), normal (M, 3) unit,
+        towards the sensor, and flat (M,) bool, whether the surroundings are flat enough for the
+        normal to mean anything.
     """
-    m = len(start) - 1
-    total = np.zeros(m)
-    centre = np.zeros((m, 3))
-    moments = np.zeros((m, 10))  # number; sums; sums of products
+    m = cell.max() + 1 if len(cell) else 0
+    total, centre, ranges = np.zeros(m), np.zeros((m, 3)), np.empty(m)
+    own = np.zeros((m, 10))  # number; sums; sums of products
     for row in range(len(points)):
         c = cell[row]
         if c < 0:
             continue
-        total[c] += counts[row]
-        moments[c, 0] += 1.0
-        k = 4
-        for a in range(3):
-            centre[c, a] += counts[row] * points[row, a]
-            moments[c, 1 + a] += points[row, a]
-            for b in range(a, 3):
-                moments[c, k] += np.float64(points[row, a]) * points[row, b]
-                k += 1
-    normal = np.zeros((m, 3))
-    flat = np.zeros(m, np.bool_)
-    s = np.empty(10)
+        x, y, z = 1.0 * points[row, 0], 1.0 * points[row, 1], 1.0 * points[row, 2]  # float64
+        w, s, at = counts[row], own[c], centre[c]
+        total[c] += w
+        at[0], at[1], at[2] = at[0] + w * x, at[1] + w * y, at[2] + w * z
+        s[0], s[1], s[2], s[3] = s[0] + 1.0, s[1] + x, s[2] + y, s[3] + z
+        s[4], s[5], s[6] = s[4] + x * x, s[5] + x * y, s[6] + x * z
+        s[7], s[8], s[9] = s[7] + y * y, s[8] + y * z, s[9] + z * z
+    around, touching = own.copy(), np.ones(m, np.int32)
+    for k in range(pairs.shape[1]):
+        a, b = pairs[0, k], pairs[1, k]
+        touching[a] += 1
+        touching[b] += 1
+        for j in range(10):
+            around[a, j] += own[b, j]
+            around[b, j] += own[a, j]
+    spread, axes = np.empty(6 * m), np.empty(5 * m)
     for c in range(m):
-        for axis in range(3):
-            centre[c, axis] /= max(1.0, total[c])
-        s[:] = 0.0
-        for k in range(start[c], start[c + 1]):
-            for j in range(10):
-                s[j] += moments[other[k], j]
-        n = s[0]
-        if n < 6.0 or start[c + 1] - start[c] < 4:
+        s, share, each = around[c], 1.0 / around[c, 0], 1.0 / max(1.0, total[c])
+        x, y, z = share * s[1], share * s[2], share * s[3]
+        spread[c], spread[m + c] = share * s[4] - x * x, share * s[5] - x * y
+        spread[2 * m + c], spread[3 * m + c] = share * s[6] - x * z, share * s[7] - y * y
+        spread[4 * m + c], spread[5 * m + c] = share * s[8] - y * z, share * s[9] - z * z
+        x, y, z = each * centre[c, 0], each * centre[c, 1], each * centre[c, 2]
+        centre[c, 0], centre[c, 1], centre[c, 2] = x, y, z
+        ranges[c] = np.sqrt(x * x + y * y + z * z)
+    _axes(spread, axes)
+    normal, flat = np.zeros((m, 3)), np.zeros(m, np.bool_)
+    for c in range(m):
+        if around[c, 0] < 6.0 or touching[c] < 4:
             continue
-        mx, my, mz = s[1] / n, s[2] / n, s[3] / n
-        l0, l1, _, nx, ny, nz = smallest_axis(
-            s[4] / n - mx * mx, s[5] / n - mx * my, s[6] / n - mx * mz,
-            s[7] / n - my * my, s[8] / n - my * mz, s[9] / n - mz * mz,
+        x, y, z = axes[2 * m + c], axes[3 * m + c], axes[4 * m + c]
+        away = x * around[c, 1] + y * around[c, 2] + z * around[c, 3] > 0.0
+        sign = -1.0 if away else 1.0
+        normal[c, 0], normal[c, 1], normal[c, 2] = sign * x, sign * y, sign * z
+        flat[c] = axes[m + c] > 0.0 and axes[c] < _FLAT * axes[m + c]
+    return total, centre, ranges, normal, flat
+
+
+@compiled
+def _axes(spread, axes):  # type: ignore[no-untyped-def]
+    """Of each of M matrices (6 * M) two eigenvalues and the smallest axis (5 * M)."""
+    m = len(spread) // 6
+    for c in range(m):
+        l0, l1, _, x, y, z = smallest_axis(
+            spread[c], spread[m + c], spread[2 * m + c],
+            spread[3 * m + c], spread[4 * m + c], spread[5 * m + c],
         )  # fmt: skip
-        sign = -1.0 if nx * mx + ny * my + nz * mz > 0.0 else 1.0
-        normal[c, 0], normal[c, 1], normal[c, 2] = sign * nx, sign * ny, sign * nz
-        flat[c] = l1 > 0.0 and l0 < _FLAT * l1
-    return total, centre, normal, flat
+        axes[c], axes[m + c] = l0, l1
+        axes[2 * m + c], axes[3 * m + c], axes[4 * m + c] = x, y, z
 
 
 @compiled
@@ -136,11 +146,20 @@ def concave(a, b, centre, normal, flat):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def divide(start, other, member, centre, normal, flat, size, by_surface):  # type: ignore[no-untyped-def]
+def _root(joined, cell):  # type: ignore[no-untyped-def]
+    """The first cell of a part; makes the way to it shorter."""
+    while joined[cell] != cell:
+        joined[cell] = joined[joined[cell]]
+        cell = joined[cell]
+    return cell
+
+
+@compiled
+def divide(pairs, member, centre, normal, flat, size, by_surface):  # type: ignore[no-untyped-def]
     """Connected parts of the member cells.
 
     Args:
-        start, other: `neighbours` of the cells.
+        pairs: `neighbours` of the cells.
         member: (M,) bool.
         centre, normal, flat: as `normals` gives them.
         size: (M,) edge of each cell, metres.
@@ -150,29 +169,26 @@ def divide(start, other, member, centre, normal, flat, size, by_surface):  # typ
     Returns:
         (M,) int32 part of each cell, -1 for the others, and the number of parts.
     """
-    part = np.full(len(member), -1, np.int32)
-    stack = np.empty(len(member), np.int32)
-    number = 0
-    for first in range(len(member)):
-        if not member[first] or part[first] >= 0:
+    joined = np.arange(len(member))
+    for k in range(pairs.shape[1]):
+        a, b = pairs[0, k], pairs[1, k]
+        if not (member[a] and member[b]):
             continue
-        part[first] = number
-        stack[0] = first
-        height = 1
-        while height > 0:
-            height -= 1
-            a = stack[height]
-            for k in range(start[a], start[a + 1]):
-                b = other[k]
-                if not member[b] or part[b] >= 0:
-                    continue
-                if by_surface:
-                    joined = smooth(a, b, centre, normal, flat, _STEP * size[a])
-                else:
-                    joined = not concave(a, b, centre, normal, flat)
-                if joined:
-                    part[b] = number
-                    stack[height] = b
-                    height += 1
-        number += 1
+        first, other = _root(joined, a), _root(joined, b)
+        if first == other:
+            continue
+        if by_surface:
+            hangs = smooth(a, b, centre, normal, flat, _STEP * size[a])
+        else:
+            hangs = not concave(a, b, centre, normal, flat)
+        if hangs:
+            joined[max(first, other)] = min(first, other)
+    part, number = np.full(len(member), -1, np.int32), 0
+    for cell in range(len(member)):
+        if member[cell]:
+            first = _root(joined, cell)
+            if first == cell:
+                part[cell] = number
+                number += 1
+            part[cell] = part[first]
     return part, number

@@ -2,12 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Range images: what a scan saw in each direction, and where other points stand against it."""
 
-# ruff: noqa: PLR0913, PLR0917 (kernels take plain arrays, named in `VoxelLevel`)
 from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -135,7 +134,8 @@ class RangeImage:
         filled = np.flatnonzero((far > 0.0).any(axis=1))
         self._rows = (int(filled[0]), int(filled[-1])) if len(filled) else (0, -1)
         self._near, self._far = _widen(near, far, self.view.wraps)
-        self._inside = _inside(far > 0.0, self.view.wraps)
+        self._inside = _inside(far, self.view.wraps)
+        self._saw: NDArray[np.float32] | None = None
 
     def only(self, member: NDArray[np.bool_]) -> RangeImage:
         """The image of some (N,) of the points that were given to this one, not `kept` before."""
@@ -210,47 +210,33 @@ class RangeImage:
         """
         T = se3.inverse(self.T_odom_sensor) @ T_odom_sensor
         margin, speed = np.empty((2, len(points)), np.float32)
-        at, width = _seen(points, self.view, T), self.view.width
-        edges = self._rows[0] * width, (self._rows[1] + 1) * width
-        saw = self._near.ravel(), self._far.ravel(), self._inside.ravel(), *edges
-        view = self.view.basis, se3.inverse(T)[:3, 3].copy(), *_scaled(self.view)
+        at, origin = _seen(points, self.view, T), tuple(se3.inverse(T)[:3, 3].tolist())
+        if self._saw is None:
+            self._saw = _seen_through(self._near, self._far, self._inside, *self._rows)
         seen_now = now._near.ravel(), now._far.ravel()
-        _look(points, at, view, saw, seen_now, noise, age_s, (margin, speed))
+        view = origin, *_sight(self.view, np.eye(4))
+        _look(points, at, view, self._saw, seen_now, noise, age_s, (margin, speed))
         return margin, speed
 
 
-def _scaled(view: Pixels) -> tuple[NDArray[np.float64], NDArray[np.float64], Any, bool]:
-    """Lowest angles (2,), pixels per rad (2,), shape, and whether it wraps."""
-    low = np.array([view.azimuth_rad, view.elevation_rad])
-    return low, 1.0 / view.step_rad, np.array([view.height, view.width], np.int32), view.wraps
+def _sight(
+    view: Pixels, T_view_points: NDArray[np.float64]
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """For `_place`: rows of the transform to forward, left, up (12); how angles become pixels."""
+    to_view = (view.basis @ T_view_points[:3]).ravel().tolist()
+    turn = view.width if view.wraps else 0
+    low, scale = (view.azimuth_rad, view.elevation_rad), (1.0 / view.step_rad).tolist()
+    return tuple(to_view), (*low, *scale, float(view.width), float(view.height), float(turn))
 
 
 def _seen(
     points: NDArray[np.floating], view: Pixels, T_view_points: NDArray[np.float64]
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Range (N,), metres, and pixel (N,) of points as a sensor sees them; -1 outside its view."""
-    R = view.basis @ T_view_points[:3, :3]
-    t = view.basis @ T_view_points[:3, 3]
     ranges = np.empty(len(points), np.float32)
     pixels = np.empty(len(points), np.int32)
-    some = np.asarray(points, np.float64)
-    _project(some, R, t, *_scaled(view), ranges, pixels)
+    _project(np.ascontiguousarray(points).ravel(), *_sight(view, T_view_points), ranges, pixels)
     return ranges, pixels
-
-
-def _inside(filled: NDArray[np.bool_], wraps: bool) -> NDArray[np.bool_]:
-    """Pixels with seen ones on both sides in their column and, unless it wraps, in their row."""
-    inside = np.zeros_like(filled)
-    for axis in (0,) if wraps else (0, 1):
-        before = np.maximum.accumulate(filled, axis=axis)
-        after = np.flip(np.maximum.accumulate(np.flip(filled, axis), axis=axis), axis)
-        between = np.zeros_like(filled)
-        if axis == 0:
-            between[1:-1] = before[:-2] & after[2:]
-        else:
-            between[:, 1:-1] = before[:, :-2] & after[:, 2:]
-        inside = between if axis == 0 else inside & between
-    return inside
 
 
 @compiled_fast
@@ -269,28 +255,27 @@ def _angle(y, x):  # type: ignore[no-untyped-def]
 
 
 @compiled_fast
-def _place(f, s, u, low, scale, shape, wraps):  # type: ignore[no-untyped-def]
-    """Range and pixel of a point in a view; in float32, rays at their borders fall anywhere."""
-    height, width = shape[0], shape[1]
-    flat = np.sqrt(f * f + s * s)
-    column = np.int32(np.floor((_angle(s, f) - low[0]) * scale[0]))
-    row = np.int32(np.floor((_angle(u, flat) - low[1]) * scale[1]))
-    if wraps:
-        column = column - width if column >= width else column
-        column = column + width if column < 0 else column
-    outside = (column < 0) | (row < 0) | (column >= width) | (row >= height)
-    return np.sqrt(flat * flat + u * u), np.int32(-1) if outside else row * width + column
+def _place(x, y, z, to_view, grid):  # type: ignore[no-untyped-def]
+    """Range and pixel of a point; in float32, rays at the borders of pixels fall anywhere."""
+    f = to_view[0] * x + to_view[1] * y + to_view[2] * z + to_view[3]
+    s = to_view[4] * x + to_view[5] * y + to_view[6] * z + to_view[7]
+    u = to_view[8] * x + to_view[9] * y + to_view[10] * z + to_view[11]
+    azimuth, elevation, across, up, width, height, turn = grid
+    square = f * f + s * s
+    column = np.floor((_angle(s, f) - azimuth) * across)
+    row = np.floor((_angle(u, np.sqrt(square)) - elevation) * up)
+    column = column - turn if column >= width else column
+    column = column + turn if column < 0.0 else column
+    within = (column >= 0.0) & (row >= 0.0) & (column < width) & (row < height)
+    return np.sqrt(square + u * u), np.int32(row * width + column if within else -1.0)
 
 
 @compiled_fast
-def _project(points, R, t, low, scale, shape, wraps, ranges, pixels):  # type: ignore[no-untyped-def]
-    """The kernel of `_seen`."""
-    for i in range(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        f = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t[0]
-        s = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t[1]
-        u = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t[2]
-        ranges[i], pixels[i] = _place(f, s, u, low, scale, shape, wraps)
+def _project(points, to_view, grid, ranges, pixels):  # type: ignore[no-untyped-def]
+    """The kernel of `_seen`; points are flat, so that the loop fits vector registers."""
+    for i in range(len(pixels)):
+        x, y, z = points[3 * i], points[3 * i + 1], points[3 * i + 2]
+        ranges[i], pixels[i] = _place(np.float64(x), np.float64(y), np.float64(z), to_view, grid)
 
 
 @compiled
@@ -306,22 +291,58 @@ def _draw(ranges, pixels, near, far):  # type: ignore[no-untyped-def]
 def _widen(near, far, wraps):  # type: ignore[no-untyped-def]
     """Nearest and farthest range within one pixel around each pixel."""
     height, width = near.shape
-    low = np.full_like(near, np.inf)
-    high = np.zeros_like(far)
+    low, high = np.empty_like(near), np.empty_like(far)
+    a, b = np.empty(width + 2, near.dtype), np.empty(width + 2, far.dtype)
+    for v in range(height):
+        below, above = max(v - 1, 0), min(v + 1, height - 1)
+        for u in range(width):
+            a[u + 1] = min(near[below, u], near[v, u], near[above, u])
+            b[u + 1] = max(far[below, u], far[v, u], far[above, u])
+        left, right = (width, 1) if wraps else (1, width)
+        a[0], b[0] = a[left], b[left]
+        a[width + 1], b[width + 1] = a[right], b[right]
+        for u in range(width):
+            low[v, u] = min(a[u], a[u + 1], a[u + 2])
+            high[v, u] = max(b[u], b[u + 1], b[u + 2])
+    return low, high
+
+
+@compiled
+def _inside(far, wraps):  # type: ignore[no-untyped-def]
+    """Pixels with seen ones on both sides in their column and, unless it wraps, in their row."""
+    height, width = far.shape
+    inside = np.empty(far.shape, np.bool_)
+    first, last = np.full(width, height), np.full(width, -1)
     for v in range(height):
         for u in range(width):
+            seen = far[v, u] > 0.0
+            first[u] = min(first[u], v) if seen else first[u]
+            last[u] = v if seen else last[u]
+    for v in range(height):
+        left, right = -1, width
+        if not wraps:
+            left, right = width, -1
+            for u in range(width):
+                seen = far[v, u] > 0.0
+                left = min(left, u) if seen else left
+                right = u if seen else right
+        for u in range(width):
+            inside[v, u] = (first[u] < v) & (v < last[u]) & (left < u) & (u < right)
+    return inside
+
+
+@compiled
+def _seen_through(near, far, inside, lowest, highest):  # type: ignore[no-untyped-def]
+    """Ranges (2, H * W) for `_look`: infinite if nothing came back, NaN if nothing is known."""
+    saw = np.full((2, *near.shape), np.nan, np.float32)
+    for v in range(len(near)):
+        empty = np.inf if lowest <= v <= highest else np.nan
+        for u in range(near.shape[1]):
             if far[v, u] == 0.0:
-                continue
-            for dv in range(-1, 2):
-                for du in range(-1, 2):
-                    row, column = v + dv, u + du
-                    if wraps:
-                        column %= width
-                    if row < 0 or column < 0 or row >= height or column >= width:
-                        continue
-                    low[row, column] = min(low[row, column], near[v, u])
-                    high[row, column] = max(high[row, column], far[v, u])
-    return low, high
+                saw[0, v, u], saw[1, v, u] = empty, empty
+            elif inside[v, u]:
+                saw[0, v, u], saw[1, v, u] = near[v, u], far[v, u]
+    return saw.reshape(2, -1)
 
 
 @compiled
@@ -341,33 +362,34 @@ def _stand(ranges, pixels, images, slack, share, out):  # type: ignore[no-untype
             out[i] = ON
 
 
+@compiled_fast
+def _margins(ranges, pixels, near, far, noise, margin):  # type: ignore[no-untyped-def]
+    """Standard deviations off what was seen; all in float32 and without a branch, for speed."""
+    zero, nan = np.float32(0.0), np.float32(np.nan)
+    a, b, c = np.float32(noise[0]), np.float32(noise[1]), np.float32(noise[2])
+    for i in range(len(pixels)):
+        pixel, r = max(pixels[i], 0), ranges[i]
+        off = max(near[pixel] - r, zero) - max(r - far[pixel], zero)
+        margin[i] = off / (a + b * r + c * r * r) if pixels[i] >= 0 else nan
+
+
 @compiled
 def _look(points, at, view, saw, now, noise, age_s, out):  # type: ignore[no-untyped-def]
     """The kernel of `RangeImage.look`, by where points (N, 3) were looked for."""
     ranges, pixels = at
-    near, far, inside, lowest, highest = saw
-    basis, origin, low, scale, shape, wraps = view
+    far, (origin, to_view, grid) = saw[1], view
     margin, speed = out
+    _margins(ranges, pixels, saw[0], far, noise, margin)
+    speed[:] = -1.0
     for i in range(len(pixels)):
         pixel, r = pixels[i], ranges[i]
-        margin[i], speed[i] = np.nan, -1.0
-        if pixel < 0:
-            continue
-        if far[pixel] == 0.0:
-            margin[i] = np.inf if lowest <= pixel < highest else np.nan
-        elif inside[pixel]:
-            sigma = noise[0] + noise[1] * r + noise[2] * r * r
-            margin[i] = (max(near[pixel] - r, 0.0) - max(r - far[pixel], 0.0)) / sigma
         if not margin[i] < -_HIDDEN:  # nor if it is NaN
             continue
         share = far[pixel] / r  # what hid it is so far along the way from the origin
         x = origin[0] + share * (points[i, 0] - origin[0])
         y = origin[1] + share * (points[i, 1] - origin[1])
         z = origin[2] + share * (points[i, 2] - origin[2])
-        f = basis[0, 0] * x + basis[0, 1] * y + basis[0, 2] * z
-        s = basis[1, 0] * x + basis[1, 1] * y + basis[1, 2] * z
-        u = basis[2, 0] * x + basis[2, 1] * y + basis[2, 2] * z
-        q, there = _place(f, s, u, low, scale, shape, wraps)
+        q, there = _place(x, y, z, to_view, grid)
         sigma = noise[0] + noise[1] * q + noise[2] * q * q
         if there >= 0 and now[1][there] > 0.0 and now[0][there] - q > _HIDDEN * sigma:
             speed[i] = (r - far[pixel]) / age_s

@@ -212,10 +212,9 @@ class Tracker:
     ) -> tuple[PreprocessedScan, F64, Located]:
         """Make the map of the first scan again, deskewed by the motion that the second shows.
 
-        The way between the two shows the velocity, and by how much the second turns faster than
-        the first shows the angular acceleration, which is taken as even: a map that is bent by
-        half of it bends all later scans alike, and their registration does not see it. Two scans
-        say less of the change of the linear velocity than there is.
+        The way between the two shows the velocity, and by how much the second turns faster in that
+        map shows the angular acceleration: a map bent by half of it would bend all later scans
+        alike. Two scans say less of the change of the linear velocity than there is.
 
         The pose reported of the first scan stands, so that of its points is found from it.
 
@@ -229,7 +228,6 @@ class Tracker:
         before, half = first.twist, np.zeros(6)
         for _ in range(_OPENINGS):
             twist = se3.log(se3.inverse(begun) @ outcome.fit.T_odom_sensor) / dt
-            # Rate of the second scan in a map that lies as the first one is deskewed.
             half[3:] = 0.5 * (cloud.rate(outcome.fit.intra_scan) - before)[3:]
             before = twist - half
             motion = IntraScanMotion(np.stack([before - first.twist, half / dt]))

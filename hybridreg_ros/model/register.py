@@ -59,6 +59,10 @@ if TYPE_CHECKING:
     Encoded = tuple[EncodedCloud, EncodedCloud]
     F64 = NDArray[np.float64]
 
+_SPEAKERS = 4
+"""Points of a finest voxel that are asked whether they are static, in a sequence: the mask of the
+front end is not worse for it, at half the cost (docs/lab/2026-11-29-asked-less.md)."""
+
 
 class HybridReg:
     """Registration of two clouds of a scene in which things may move.
@@ -191,7 +195,7 @@ class HybridReg:
         )
 
     def point_mask(
-        self, source: EncodedCloud, target: EncodedCloud, T_target_source: F64
+        self, source: EncodedCloud, target: EncodedCloud, T_target_source: F64, most: int = 0
     ) -> PointMask:
         """Which points of the source are static, once its pose is known.
 
@@ -199,6 +203,7 @@ class HybridReg:
             source: encoded cloud of N input points.
             target: encoded cloud, in the same voxel size; whether they were matched or not.
             T_target_source: (4, 4), metres.
+            most: points of a finest voxel that are asked about, and speak for the others; 0: all.
 
         Returns:
             P(static) and P(seen by the target's sensor) of the points.
@@ -210,7 +215,7 @@ class HybridReg:
         if self.net.static is None:
             raise WeightsError('these weights have no static head: use the packaged ones')
         self.net.check_voxels(source.encoding, target.encoding)
-        return point_mask(self.net, source, target, np.asarray(T_target_source, np.float64))
+        return point_mask(self.net, source, target, np.asarray(T_target_source, np.float64), most)
 
     def retry(
         self,
@@ -413,4 +418,4 @@ class SensorSequence:
             RegistrationError: they were encoded with different voxel sizes.
             WeightsError: the weights have no static head.
         """
-        return self._model.point_mask(source, target, T_target_source)
+        return self._model.point_mask(source, target, T_target_source, _SPEAKERS)

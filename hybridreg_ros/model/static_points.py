@@ -4,13 +4,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
 from torch.nn import functional
 
-from hybridreg_ros.core.jit import compiled_fast
+from hybridreg_ros.core.jit import compiled, compiled_fast
 from hybridreg_ros.model.geometry.sight import COUNT, looks
 
 if TYPE_CHECKING:
@@ -46,40 +47,72 @@ class HeadInput(NamedTuple):
     """What the static head reads of one cloud (`StaticHead.forward`).
 
     Attributes:
-        rows: (K,) int64 finite input points, which all that follows is about.
+        rows: (K,) int64 input points that all that follows is about.
+        answer: (N,) int64 of every input point, the one of these that speaks for it; -1: none.
         looks: (K, COUNT + 2) float32.
         fine: (F, fine_dim) float32 unit features.
         owners: int64, the finest voxel of every point, then of every voxel the one above it.
     """
 
     rows: I64
+    answer: I64
     looks: F32
     fine: F32
     owners: tuple[I64, ...]
 
 
-def head_input(source: EncodedCloud, target: EncodedCloud, T_target_source: F64) -> HeadInput:
+def head_input(
+    source: EncodedCloud, target: EncodedCloud, T_target_source: F64, most: int = 0
+) -> HeadInput:
     """What the head reads of the source.
 
     Args:
         source: encoded cloud.
         target: encoded cloud, same voxel size.
         T_target_source: (4, 4), metres.
+        most: points of a finest voxel that are looked at, and speak for the others; 0: all.
     """
     pyramid = source.encoding.pyramid
-    seen, nearest = looks(source.sight, target.sight, T_target_source)
+    owners = _owners(pyramid)
+    rows, answer = _speakers(owners[0], len(owners[1]), most)
+    own = source.sight if most == 0 else replace(source.sight, points=source.sight.points[rows])
+    seen, nearest = looks(own, target.sight, T_target_source)
+    if most == 0:
+        seen, nearest = seen[rows], nearest[rows]
     fine, others = (
         functional.normalize(c.encoding.fine_features, dim=1).cpu().numpy()
         for c in (source, target)
     )
-    owners = _owners(pyramid)
-    holder, other = _fine_points(pyramid), _fine_points(target.encoding.pyramid)
-    rows = np.flatnonzero(pyramid.input_to_level0 >= 0)
+    holder, other = _fine_points(pyramid)[rows], _fine_points(target.encoding.pyramid)
     seen[:, COUNT] = np.log(pyramid.voxel_size_m)
     _likeness(fine, holder, others, other, nearest, seen[:, COUNT + 1])
-    if len(rows) < len(seen):
-        seen, owners[0] = seen[rows], owners[0][rows]
-    return HeadInput(rows, seen, fine, tuple(owners))
+    owners[0] = owners[0][rows]
+    return HeadInput(rows, answer, seen, fine, tuple(owners))
+
+
+@compiled
+def _speakers(owner: I64, voxels: int, most: int) -> tuple[I64, I64]:
+    """Rows (K,) of at most so many points of each voxel (0: all), evenly out of their order.
+
+    And which one speaks for each point (N,); -1 for one in no voxel.
+    """
+    total, seen = np.zeros(voxels, np.int64), np.zeros(voxels, np.int64)
+    for v in owner:
+        if v >= 0:
+            total[v] += 1
+    rows, answer = np.empty(len(owner), np.int64), np.full(len(owner), -1)
+    spoken, count = np.full((voxels, max(most, 1)), -1), 0
+    for i in range(len(owner)):
+        v = owner[i]
+        if v < 0:
+            continue
+        share = 0 if most == 0 else seen[v] * most // max(total[v], most)
+        seen[v] += 1
+        if most == 0 or spoken[v, share] < 0:
+            rows[count], spoken[v, share] = i, count
+            count += 1
+        answer[i] = spoken[v, share]
+    return rows[:count].copy(), answer
 
 
 def _owners(pyramid: Pyramid) -> list[I64]:
@@ -111,14 +144,19 @@ def _likeness(fine: F32, holder: I64, others: F32, other: I64, nearest: I32, out
 
 @torch.no_grad()
 def point_mask(
-    net: HybridRegNet, source: EncodedCloud, target: EncodedCloud, T_target_source: F64
+    net: HybridRegNet,
+    source: EncodedCloud,
+    target: EncodedCloud,
+    T_target_source: F64,
+    most: int = 0,
 ) -> PointMask:
-    """What the static head of a network says of the source (`head_input`)."""
+    """What the static head of a network says of the source; arguments as of `head_input`."""
     assert net.static is not None
-    found, device = head_input(source, target, T_target_source), next(net.parameters()).device
+    found = head_input(source, target, T_target_source, most)
+    device = next(net.parameters()).device
     looks_, fine, *owners = (
         torch.from_numpy(a).to(device) for a in (found.looks, found.fine, *found.owners)
     )
-    out = np.full((2, len(source.points)), UNKNOWN, np.float32)
-    out[:, found.rows] = torch.sigmoid(net.static(looks_, fine, owners)).cpu().numpy().T
+    said = torch.sigmoid(net.static(looks_, fine, owners)).cpu().numpy().T
+    out = np.where(found.answer >= 0, said[:, found.answer], np.float32(UNKNOWN))
     return PointMask(*out)

@@ -18,6 +18,7 @@ from hybridreg_ros.model.config import ModelConfig
 from hybridreg_ros.model.geometry.pyramid import build_pyramid
 from hybridreg_ros.model.network.network import HybridRegNet
 from hybridreg_ros.model.register import HybridReg
+from hybridreg_ros.model.static_points import head_input
 
 VOXEL_M = 0.08
 
@@ -91,6 +92,24 @@ def test_no_pose_depends_on_the_head(
         np.testing.assert_array_equal(one.source_uncertainty, other.source_uncertainty)
         assert one.confidence == other.confidence
         assert other.source_static_probability is None
+
+
+def test_a_few_points_speak_for_their_voxel(packaged: HybridReg, scene: tuple) -> None:
+    source, target, T, moved = scene
+    source = np.insert(source, 5, np.nan, axis=0)
+    a, b = packaged.encode(source, 2.0 * VOXEL_M), packaged.encode(target, 2.0 * VOXEL_M)
+    owner = a.encoding.pyramid.input_to_level0
+    whole, few = head_input(a, b, T), head_input(a, b, T, 4)
+    np.testing.assert_array_equal(whole.rows, np.flatnonzero(owner >= 0))
+    np.testing.assert_array_equal(whole.rows[whole.answer[owner >= 0]], whole.rows)
+    sizes = np.bincount(owner[owner >= 0])
+    np.testing.assert_array_equal(np.bincount(owner[few.rows]), np.minimum(sizes, 4))
+    assert (sizes > 4).any()
+    assert few.answer[5] == -1
+    np.testing.assert_array_equal(owner[few.rows[few.answer[owner >= 0]]], owner[owner >= 0])
+    own = packaged.point_mask(a, b, T, 4)
+    assert own.static[5] == 0.5
+    assert roc_auc(~np.insert(moved, 5, False), own.static) > 0.85
 
 
 def test_weights_without_a_head_say_so(headless: HybridReg, room: np.ndarray) -> None:

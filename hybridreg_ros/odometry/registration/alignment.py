@@ -367,8 +367,9 @@ def _iterate(
             return se3.orthonormalise(T), True, surfaces
         if moved < schedule.enough_m:
             break
-        floor *= _SHRINK
-        if every > 1 and last and moved < _CLOSE * level.size_m:
+        close = every > 1 and moved < _CLOSE * level.size_m
+        floor = _LEAST if close else _SHRINK * floor
+        if close:
             every = 1
             some, weight, surfaces, order = _every(1, points, trust)
     return se3.orthonormalise(T), False, surfaces
@@ -414,7 +415,9 @@ def by_age(trust: F64, surfaces: Surfaces, age_s: float) -> F64:
         return trust
     share = np.clip((age_s - surfaces.born) / span_s, 0.0, 1.0)
     weight = _YOUNG + (1.0 - _YOUNG) * share
-    full = max(float(np.quantile(weight[used], _FULL)), 1e-6)
+    known = weight[used]
+    rank = int(_FULL * (len(known) - 1))
+    full = max(float(np.partition(known, rank)[rank]), 1e-6)
     lowered: F64 = trust * np.minimum(1.0, weight / full)
     return lowered
 

@@ -131,9 +131,11 @@ class RangeImage:
         _draw(ranges, shown, near.ravel(), far.ravel())
         # A point counts as off a surface only when it is off in the 3x3 pixels around it, so that
         # slanted surfaces and edges do not look like things that moved.
-        wraps = self.view.wraps
-        self._near, self._far = _widen(near, far, wraps)
-        self._saw: NDArray[np.float32] = _seen_through(far, self._near, self._far, wraps)
+        filled = np.flatnonzero((far > 0.0).any(axis=1))
+        self._rows = (int(filled[0]), int(filled[-1])) if len(filled) else (0, -1)
+        self._near, self._far = _widen(near, far, self.view.wraps)
+        self._inside = _inside(far, self.view.wraps)
+        self._saw: NDArray[np.float32] | None = None
 
     def only(self, member: NDArray[np.bool_]) -> RangeImage:
         """The image of some (N,) of the points that were given to this one, not `kept` before."""
@@ -151,7 +153,7 @@ class RangeImage:
         """As `kept`, in pages of its own (`core.pages`), for one that is kept for long."""
         other = self.kept()
         other._near, other._far = paged(np.stack([self._near, self._far]))
-        other._saw = self._saw[:, :0].copy()  # for looks, which go to recent ones only
+        other._inside = paged(self._inside)
         return other
 
     def stand(
@@ -178,8 +180,8 @@ class RangeImage:
         T = se3.inverse(self.T_odom_sensor) @ T_odom_sensor
         ranges, pixels = _seen(points, self.view, T)
         out = np.zeros(len(points), np.int8)
-        near, far = self._near.ravel(), self._far.ravel()
-        images = near, far, np.isfinite(self._saw[0]) if strict else far > 0.0
+        inside = self._inside if strict else self._far > 0.0
+        images = self._near.ravel(), self._far.ravel(), inside.ravel()
         _stand(ranges, pixels, images, tolerance_m, tolerance_share, out)
         return out
 
@@ -209,6 +211,8 @@ class RangeImage:
         T = se3.inverse(self.T_odom_sensor) @ T_odom_sensor
         margin, speed = np.empty((2, len(points)), np.float32)
         at, origin = _seen(points, self.view, T), tuple(se3.inverse(T)[:3, 3].tolist())
+        if self._saw is None:
+            self._saw = _seen_through(self._near, self._far, self._inside, *self._rows)
         seen_now = now._near.ravel(), now._far.ravel()
         view = origin, *_sight(self.view, np.eye(4))
         _look(points, at, view, self._saw, seen_now, noise, age_s, (margin, speed))
@@ -304,34 +308,39 @@ def _widen(near, far, wraps):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _seen_through(drawn, near, far, wraps):  # type: ignore[no-untyped-def]
-    """Ranges (2, H * W) for `_look`: infinite if nothing came back, NaN if nothing is known.
-
-    Known are pixels with drawn ones on both sides in their column and, unless it wraps, their row.
-    """
+def _inside(far, wraps):  # type: ignore[no-untyped-def]
+    """Pixels with seen ones on both sides in their column and, unless it wraps, in their row."""
     height, width = far.shape
-    saw = np.full((2, height, width), np.nan, np.float32)
+    inside = np.empty(far.shape, np.bool_)
     first, last = np.full(width, height), np.full(width, -1)
     for v in range(height):
         for u in range(width):
-            seen = drawn[v, u] > 0.0
+            seen = far[v, u] > 0.0
             first[u] = min(first[u], v) if seen else first[u]
             last[u] = v if seen else last[u]
-    lowest, highest = first.min(), last.max()
     for v in range(height):
         left, right = -1, width
         if not wraps:
             left, right = width, -1
             for u in range(width):
-                seen = drawn[v, u] > 0.0
+                seen = far[v, u] > 0.0
                 left = min(left, u) if seen else left
                 right = u if seen else right
-        empty = np.inf if lowest <= v <= highest else np.nan
         for u in range(width):
-            inside = (first[u] < v) & (v < last[u]) & (left < u) & (u < right)
+            inside[v, u] = (first[u] < v) & (v < last[u]) & (left < u) & (u < right)
+    return inside
+
+
+@compiled
+def _seen_through(near, far, inside, lowest, highest):  # type: ignore[no-untyped-def]
+    """Ranges (2, H * W) for `_look`: infinite if nothing came back, NaN if nothing is known."""
+    saw = np.full((2, *near.shape), np.nan, np.float32)
+    for v in range(len(near)):
+        empty = np.inf if lowest <= v <= highest else np.nan
+        for u in range(near.shape[1]):
             if far[v, u] == 0.0:
                 saw[0, v, u], saw[1, v, u] = empty, empty
-            elif inside:
+            elif inside[v, u]:
                 saw[0, v, u], saw[1, v, u] = near[v, u], far[v, u]
     return saw.reshape(2, -1)
 

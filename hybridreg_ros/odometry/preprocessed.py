@@ -101,7 +101,11 @@ class PreprocessedScan:
         even: NDArray[np.float64] = pose if intra_scan is None else pose @ intra_scan.at(second)
         return even @ se3.exp(self.twist * second)
 
+    def rate(self, intra_scan: IntraScanMotion | None) -> NDArray[np.float64]:
+        """Velocity (6,) at the instant of the points, with an intra-scan motion."""
+        return self.twist if intra_scan is None else self.twist + intra_scan.terms[0]
+
     def moved_by(self, twist: NDArray[np.float64]) -> PreprocessedScan:
         """A cloud that was taken to stand still, deskewed by a velocity (6,) known since."""
-        moved = self.straightened(IntraScanMotion(twist - self.twist, np.zeros(6)))
+        moved = self.straightened(IntraScanMotion((twist - self.twist)[None]))
         return replace(moved, twist=twist)

@@ -15,6 +15,7 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.pages import give_back
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.locator import Locator
+from hybridreg_ros.odometry.motion.intra_scan_motion import IntraScanMotion
 from hybridreg_ros.odometry.network_branch import LearnedBranch
 from hybridreg_ros.odometry.registration import covariance
 from hybridreg_ros.odometry.registration.covariance import Surroundings
@@ -47,8 +48,8 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-_OPENINGS = 2
-"""How often the first map is made again once the second scan shows the velocity."""
+_OPENINGS = 3
+"""How often the first map is made again once the second scan shows the motion."""
 
 
 class Tracker:
@@ -209,7 +210,11 @@ class Tracker:
         watch: Watch,
         effort: Effort,
     ) -> tuple[PreprocessedScan, F64, Located]:
-        """Make the map of the first scan again, deskewed by the velocity that the second shows.
+        """Make the map of the first scan again, deskewed by the motion that the second shows.
+
+        The way between the two shows the velocity, and by how much the second turns faster in that
+        map shows the angular acceleration: a map bent by half of it would bend all later scans
+        alike. Two scans say less of the change of the linear velocity than there is.
 
         The pose reported of the first scan stands, so that of its points is found from it.
 
@@ -220,12 +225,16 @@ class Tracker:
         (first, since), still, outcome = self._opening, cloud, found
         begun = predicted = start = self._motion.pose
         dt = self._motion.seconds_to(stamp)
+        before, half = first.twist, np.zeros(6)
         for _ in range(_OPENINGS):
             twist = se3.log(se3.inverse(begun) @ outcome.fit.T_odom_sensor) / dt
-            begun = start @ se3.exp(twist * (first.instant_s - first.reported_s))
+            half[3:] = 0.5 * (cloud.rate(outcome.fit.intra_scan) - before)[3:]
+            before = twist - half
+            motion = IntraScanMotion(np.stack([before - first.twist, half / dt]))
+            begun = start @ se3.inverse(motion.at(first.reported_s - first.instant_s))
             predicted = begun @ se3.exp(twist * dt)
-            cloud = still.moved_by(twist)
-            self._restart(first.moved_by(twist), begun, since)
+            cloud = still.moved_by(twist + half)
+            self._restart(first.straightened(motion), begun, since)
             ones = np.ones(len(cloud.icp_rows), np.float32)
             expected = replace(self._motion.expect(stamp), pose=predicted)
             asked = encoded, None

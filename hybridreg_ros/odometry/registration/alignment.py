@@ -143,19 +143,10 @@ def _with_intra_scan_motion(
         for _ in range(2):
             surfaces.measure(moved, T)
             scale = surfaces.scales(order, low, level.size_m)
-            sums = intra_scan_update.moments(
-                moved,
-                times,
-                lasting,
-                T[:3, :3].copy(),
-                T[:3, 3].copy(),
-                surfaces.kind,
-                surfaces.anchor,
-                surfaces.normal,
-                surfaces.variance,
-                scale,
-                (_POINT_SPREAD * level.size_m) ** 2,
-            )
+            R, t, spread = T[:3, :3].copy(), T[:3, 3].copy(), (_POINT_SPREAD * level.size_m) ** 2
+            pairs = surfaces.kind, surfaces.anchor, surfaces.normal, surfaces.variance, scale
+            orders = len(found.terms) + 1
+            sums = intra_scan_update.moments(moved, times, lasting, R, t, *pairs, spread, orders)
             T, found, length = intra_scan_update.update(found, T, sums, half_span, prior)
             moved = found.undo(points, times)
             step = max(step, length)
@@ -258,19 +249,9 @@ def _system(
     level: VoxelLevel,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Gauss-Newton system of the robust cost at T; as `kernels.normal_equations` gives it."""
-    system: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
-    system = kernels.normal_equations(
-        points,
-        trust,
-        T[:3, :3].copy(),
-        T[:3, 3].copy(),
-        surfaces.kind,
-        surfaces.anchor,
-        surfaces.normal,
-        surfaces.variance,
-        scale,
-        (_POINT_SPREAD * level.size_m) ** 2,
-    )
+    R, t, spread = T[:3, :3].copy(), T[:3, 3].copy(), (_POINT_SPREAD * level.size_m) ** 2
+    pairs = surfaces.kind, surfaces.anchor, surfaces.normal, surfaces.variance, scale
+    system: tuple[F64, F64, F64] = kernels.normal_equations(points, trust, R, t, *pairs, spread)
     return system
 
 

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 
     from hybridreg_ros.odometry.config import KeyframeConfig
 
+_SAME_PLACE = 0.5
+"""Keyframes nearer than half the way after which one is due show one place; so a sensor that stays
+in a room keeps as many places, not as many looks at the same ones."""
+
 
 @dataclass(frozen=True, eq=False)
 class Keyframe:
@@ -96,8 +100,18 @@ class Keyframes:
         stamp: int,
         points: NDArray[np.float32],
     ) -> Keyframe:
-        """Keep a scan; the oldest one goes when the memory is full."""
+        """Keep a scan; older ones of the same place go, and the oldest when the memory is full."""
         frame = Keyframe(self._next, stamp, pose, paged(points))
+        recent = self.recent
+        newer = [*(f.T_odom_keyframe for f in recent), pose]
+        self._frames = deque(
+            (
+                f
+                for f in self._frames
+                if f in recent or min(self.distance(f, place) for place in newer) >= _SAME_PLACE
+            ),
+            maxlen=self._config.memory,
+        )
         self._frames.append(frame)
         self._next += 1
         return frame

@@ -56,19 +56,21 @@ class World:
             sensor.kind == 'depth',
         )
         self.keyframes = Keyframes(config.keyframe, sensor.voxel_size_m)
-        self.sightings = Sightings(sensor, config.keyframe.memory)
+        self.sightings = Sightings(sensor)
         self.dynamics = Dynamics(config.dynamics, sensor)
 
     def begin(self, cloud: PreprocessedScan, pose: F64, stamp: int) -> Keyframe:
         """Take a first scan at a pose (4, 4) as it is; it becomes a keyframe."""
+        keyframe = self.keyframes.add(pose, stamp, cloud.map_points)
         self._open(cloud, pose, stamp)
-        return self.keyframes.add(pose, stamp, cloud.map_points)
+        return keyframe
 
     def begin_again(self, cloud: PreprocessedScan, pose: F64, stamp: int) -> Keyframe:
         """Put the newest keyframe elsewhere; all else but older keyframes is forgotten."""
         self.forget()
+        keyframe = self.keyframes.mend(pose, cloud.map_points)
         self._open(cloud, pose, stamp)
-        return self.keyframes.mend(pose, cloud.map_points)
+        return keyframe
 
     def moving(
         self, cloud: PreprocessedScan, pose: F64, stamp: int, static: F32 | None = None
@@ -111,7 +113,7 @@ class World:
         if enters:
             self._write(cloud, pose, stamp, still)
         drawn = image if still.all() else image.only(cloud.usable & still)
-        self.sightings.keep(drawn, keyframe is not None)
+        self.sightings.keep(drawn, () if keyframe is None else self.keyframes)
         return keyframe
 
     def is_due(self, found: Located, stamp: int) -> bool:
@@ -130,7 +132,7 @@ class World:
         image, still = self.moving(cloud, pose, stamp)[1], np.ones(len(cloud.points), np.bool_)
         self._remember(cloud, pose, stamp, image, still)
         self._write(cloud, pose, stamp, still)
-        self.sightings.keep(image, is_keyframe=True)
+        self.sightings.keep(image, self.keyframes)
 
     def _remember(
         self, cloud: PreprocessedScan, pose: F64, stamp: int, image: RangeImage, still: Mask

@@ -176,7 +176,7 @@ class MapSink:
         assert self._view is not None
         grid = Grid.of(self._sensor.voxel_size_m, self._view.step_rad)
         cells = Cells.of(points, np.ones(len(points), np.int32), np.eye(4), grid)
-        part, count = cells.parts()
+        part, count = cells.parts
         inside = np.flatnonzero(cells.of_point >= 0)
         of_point = part[cells.of_point[inside]]
         gone = np.bincount(of_point, out[inside], count)

@@ -8,6 +8,7 @@ import numpy as np
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.odometry.dynamics.cells import Cells, Grid
+from hybridreg_ros.odometry.dynamics.classifier import kept_at_rest
 
 SIZE = 0.1
 FLOOR_M, BOX_M = -1.0, 0.8
@@ -44,7 +45,7 @@ def test_cells_have_one_size_near_and_a_share_of_the_range_far_away() -> None:
 def test_a_box_on_a_floor_is_a_part_of_its_own() -> None:
     points, box = scene()
     cells = cells_of(points, np.eye(4), Grid(SIZE, 0.001))
-    part, count = cells.parts()
+    part, count = cells.parts
     assert part.min() == 0
     assert part.max() == count - 1
     of_box = np.bincount(cells.of_point, weights=box) / np.bincount(cells.of_point)
@@ -66,3 +67,21 @@ def test_values_are_found_again_from_another_pose() -> None:
     np.testing.assert_allclose(found[:, :2], values, atol=1e-6)
     assert (found[:, 2] == 1.0).all()
     assert (cells.at(there + 1000.0, second, values) == 0.0).all()
+
+
+def test_what_comes_to_rest_keeps_its_log_odds_for_a_while_and_what_it_hid_does_not() -> None:
+    points, _ = scene()
+    cells = cells_of(points, np.eye(4), Grid(SIZE, 0.001))
+    box = cells.centre[:, 2] > FLOOR_M + 2 * SIZE
+    odds = np.full(len(cells), -3.0, np.float32)
+    moved = np.where(box, np.float32(4.0), np.float32(-1000.0))
+    kept = kept_at_rest(cells, odds, moved, 2.0)
+    assert (kept[box] == 3.0).all()
+    assert (kept[~box] == -3.0).all()
+    assert (kept_at_rest(cells, odds, moved, 7.0) == odds).all()
+    going = np.where(box, np.float32(1.0), odds)  # by its own evidence
+    assert (kept_at_rest(cells, going, moved, 2.0) == going).all()
+    beside = ~box & (cells.centre[:, 1] > 0.7)
+    assert beside.sum() > 100
+    left = np.where(beside, np.float32(4.0), np.float32(-1000.0))
+    assert (kept_at_rest(cells, odds, left, 0.1) == odds).all()

@@ -11,6 +11,7 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import Scan
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.frontend import HybridOdometry
+from hybridreg_ros.odometry.keyframes import Keyframe
 from hybridreg_ros.odometry.preprocess import preprocess, recognise_sensor
 from hybridreg_ros.odometry.result import OdometryResult, Reason, Source
 from hybridreg_ros.odometry.visibility.sightings import Sightings
@@ -59,7 +60,8 @@ def test_movers_are_not_drawn_and_keyframes_speak_for_what_they_hid() -> None:
         cloud = preprocess(scan, sensor, config.preprocess, np.zeros(6))
         image = sightings.draw(cloud, here)
         image = image if still is None else image.only(still)
-        sightings.keep(image, is_keyframe=still is None)
+        keyframe = Keyframe(0, scan.stamp, here, cloud.map_points)
+        sightings.keep(image, () if still is not None else [keyframe])
 
     known, fooled = Sightings(sensor), Sightings(sensor)
     for sightings, still in ((known, ~moving), (fooled, np.ones(len(full), np.bool_))):

@@ -363,6 +363,16 @@ def test_keyframe_rule_and_choice() -> None:
     assert [f.number for f in keyframes.nearest(pose(2.2, 0.0, 0.0), 2)] == [2, 3]
 
 
+def test_a_place_seen_again_keeps_one_keyframe() -> None:
+    keyframes = Keyframes(KeyframeConfig(max_distance=10.0, window=2, memory=9), 0.1)
+    places = [0.0, 1.0, 2.0, 3.0, 2.1, 1.1, 0.1]
+    for k, x in enumerate(places):
+        keyframes.add(pose(x, 0.0, 0.0), k, np.zeros((1, 3), np.float32))
+    assert [f.number for f in keyframes] == [3, 4, 5, 6]
+    lost = keyframes.nearest(np.eye(4), 3)
+    assert [round(float(f.T_odom_keyframe[0, 3]), 1) for f in lost] == [0.1, 1.1, 2.1]
+
+
 def test_covariances_have_their_limits() -> None:
     nothing = covariance.of_pose(np.zeros((6, 6)), 1.0)
     assert np.isfinite(nothing).all()

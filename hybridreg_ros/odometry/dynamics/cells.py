@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -118,6 +119,7 @@ class Cells:
         """Number of cells."""
         return len(self.counts)
 
+    @cached_property
     def parts(self) -> tuple[NDArray[np.int32], int]:
         """Large smooth surfaces, and what is left divided where surfaces fold inwards.
 

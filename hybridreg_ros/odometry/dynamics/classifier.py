@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.dynamics import models
 from hybridreg_ros.odometry.dynamics.cells import LARGER, Cells, Grid
 from hybridreg_ros.odometry.dynamics.context import context_of
@@ -29,14 +30,23 @@ _KEEP = 0.8
 """Share of the log odds of a place that carries over to the next scan."""
 _MOST = 8.0
 """Largest log odds that are remembered."""
+_FORGET, _LEAST, _SHARE = 0.5, 1.0, 0.4
+"""Log odds that a thing at rest loses a second, and below which it no longer counts as moving; and
+the share of a part that moved from which on it is one."""
+_STANDS = -1000.0
+"""Where nothing moved, so that a place beside it keeps nothing either."""
 FIRST = -1.0
 """Log odds in the first scan, before which nothing was seen."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Last:
-    """The last scan: its cells, what is remembered (M, 2) of them, and P(dynamic) (M, 1)."""
+    """The last scan: its stamp, ns, its cells, what is remembered of them, and P(dynamic) (M, 1).
 
+    Remembered (M, 3): as by `remembered`, and log odds of what moves, else `_STANDS`.
+    """
+
+    stamp: int
     cells: Cells
     memory: F32
     moving: F32
@@ -47,7 +57,8 @@ class Dynamics:
 
     A small model gives every cell of a scan log odds from how it stands against earlier scans
     (`evidence`). Those of a place add up from scan to scan and fade. A second one decides, from
-    them and from what the thing says that a cell belongs to (`context`).
+    them and from what the thing says that a cell belongs to (`context`). What moved and comes to
+    rest counts as moving for a while (`kept_at_rest`).
 
     Args:
         config: settings.
@@ -93,18 +104,21 @@ class Dynamics:
             return np.zeros(len(cloud.points), np.float32)
         grid = Grid.of(self._voxel_m, image.view.step_rad, LARGER[self._kind])
         cells = Cells.of(cloud.means, cloud.counts, T_odom_sensor, grid)
-        before = np.zeros((len(cells), 3), np.float32)
+        before, age_s = np.zeros((len(cells), 4), np.float32), 0.0
         if self._last is not None:
+            age_s = (stamp - self._last.stamp) / NS_PER_S
             before = self._last.cells.at(cells.centre, T_odom_sensor, self._last.memory)
-        odds = np.full(len(cells), FIRST, np.float32)
+        odds = final = np.full(len(cells), FIRST, np.float32)
         moving = np.zeros(len(cells), np.float32)
         if looks := self._past.looks(stamp):
             evidence = evidence_of(cells, looks, image, self._kind, static)
             odds = self._models.alone(evidence)
             context = context_of(cells, evidence, odds, before, self._kind)
-            final = self._models.in_context(context)
+            final = kept_at_rest(cells, self._models.in_context(context), before[:, 2], age_s)
             moving = (1.0 / (1.0 + np.exp(-final))).astype(np.float32)
-        self._last = _Last(cells, remembered(before, odds), moving[:, None])
+        moves = np.where(final > 0.0, np.minimum(final, _MOST), _STANDS).astype(np.float32)
+        memory = np.column_stack([remembered(before, odds), moves])
+        self._last = _Last(stamp, cells, memory, moving[:, None])
         of_cube = np.where(cells.of_point >= 0, moving[cells.of_point], np.float32(0.0))
         return np.where(cloud.cube >= 0, of_cube[cloud.cube], np.float32(0.0))
 
@@ -130,6 +144,26 @@ class Dynamics:
         """Forget everything."""
         self._past.clear()
         self._last = None
+
+
+def kept_at_rest(cells: Cells, odds: F32, before: F32, age_s: float) -> F32:
+    """Log odds (M,) of cells, with those of a thing that has come to rest.
+
+    A part of which much stands where cells moved, and of which less moves now, is a thing that
+    moved and stays: there it keeps the log odds that it had, less some a second. Where a thing has
+    left, what it hid belongs to other parts, of which it covered little.
+
+    Args:
+        cells: the cells of a scan.
+        odds: (M,) log odds that they move.
+        before: (M,) those that the last scan had there if it moved, else `_STANDS`.
+        age_s: seconds since then.
+    """
+    part, count = cells.parts
+    was, rest = before > 0.0, before - np.float32(_FORGET * age_s)
+    moved, moves = (np.bincount(part, cells.counts * some, count) for some in (was, odds > 0.0))
+    calmer = (moved > moves) & (moved >= _SHARE * np.bincount(part, cells.counts, count))
+    return np.where(was & calmer[part] & (rest > _LEAST), np.maximum(odds, rest), odds)
 
 
 def remembered(before: F32, odds: F32) -> F32:

@@ -31,7 +31,8 @@ def context_of(cells: Cells, evidence: F32, odds: F32, before: F32, kind: str) -
         cells: the cells of a scan.
         evidence: (M, E) by `evidence_of`.
         odds: (M,) log odds that follow from it.
-        before: (M, 3) log odds and number of scans that earlier scans tell, and if they tell any.
+        before: (M, 3 or more) log odds and number of scans that earlier scans tell; the last
+            column is whether they tell any.
         kind: depth or lidar.
 
     Returns:
@@ -41,7 +42,7 @@ def context_of(cells: Cells, evidence: F32, odds: F32, before: F32, kind: str) -
         number of cells and of its size along two level axes, shorter first, and upwards (depth:
         all three by length), and, of a lidar, of the number of points.
     """
-    part, count = cells.parts()
+    part, count = cells.parts
     mean, peak = _around(cells.pairs, odds, cells.counts)
     sums, number, points, top, low, high = _pool(
         part, count, cells.counts, odds, evidence, cells.centre
@@ -68,7 +69,7 @@ def _joined(odds, mean, peak, evidence, before, of_part, part):  # type: ignore[
             out[cell, 3 + k] = evidence[cell, _OWN[k]]
         k = 3 + len(_OWN)
         out[cell, k], out[cell, k + 1] = before[cell, 0], np.log1p(before[cell, 1])
-        out[cell, k + 2] = before[cell, 2]
+        out[cell, k + 2] = before[cell, -1]
         out[cell, k + 3 :] = of_part[part[cell]]
     return out
 

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,8 +21,11 @@ from hybridreg_ros.odometry.visibility.range_image import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
+    from hybridreg_ros.odometry.keyframes import Keyframe
     from hybridreg_ros.odometry.preprocess import SensorModel
     from hybridreg_ros.odometry.preprocessed import PreprocessedScan
 
@@ -41,15 +43,14 @@ class Sightings:
 
     Args:
         sensor: kind and voxel size.
-        memory: keyframes whose images are kept.
     """
 
-    def __init__(self, sensor: SensorModel, memory: int = 50) -> None:
+    def __init__(self, sensor: SensorModel) -> None:
         self._slack_m = _SLACK * sensor.voxel_size_m
         self._kind = sensor.kind
         self._view: Pixels | None = None
         self._last: RangeImage | None = None
-        self._keyframes: deque[RangeImage] = deque(maxlen=memory)
+        self._keyframes: dict[int, RangeImage] = {}
 
     def draw(self, cloud: PreprocessedScan, pose: NDArray[np.float64]) -> RangeImage:
         """Range image of a cloud at a pose (4, 4); the first cloud decides the view."""
@@ -57,11 +58,18 @@ class Sightings:
             self._view = view_of(cloud.points[cloud.usable], self._kind)
         return RangeImage(cloud.points, self._view, pose, cloud.usable)
 
-    def keep(self, image: RangeImage, is_keyframe: bool) -> None:
-        """Compare later scans with this one."""
-        self._last = image.paged() if is_keyframe else image.kept()
-        if is_keyframe:
-            self._keyframes.append(self._last)
+    def keep(self, image: RangeImage, keyframes: Iterable[Keyframe] = ()) -> None:
+        """Compare later scans with this one.
+
+        Args:
+            image: what the scan saw.
+            keyframes: if it has become one, all that are kept, it at the end; images of others go.
+        """
+        numbers = [keyframe.number for keyframe in keyframes]
+        self._last = image.paged() if numbers else image.kept()
+        if numbers:
+            known = {**self._keyframes, numbers[-1]: self._last}
+            self._keyframes = {n: known[n] for n in numbers if n in known}
 
     def clear(self) -> None:
         """Forget all images; the view stays."""
@@ -92,7 +100,7 @@ class Sightings:
 
     def _nearest(self, pose: NDArray[np.float64]) -> list[RangeImage]:
         """The keyframes nearest to a pose, without the last scan."""
-        others = [image for image in self._keyframes if image is not self._last]
+        others = [image for image in self._keyframes.values() if image is not self._last]
         return sorted(others, key=lambda image: _apart_m(image.T_odom_sensor, pose))[:_OTHERS]
 
     def _against(

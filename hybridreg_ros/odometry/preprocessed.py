@@ -103,9 +103,9 @@ class PreprocessedScan:
 
     def rate(self, intra_scan: IntraScanMotion | None) -> NDArray[np.float64]:
         """Velocity (6,) at the instant of the points, with an intra-scan motion."""
-        return self.twist if intra_scan is None else self.twist + intra_scan.terms[0]
+        return self.twist if intra_scan is None else self.twist + intra_scan.rate
 
     def moved_by(self, twist: NDArray[np.float64]) -> PreprocessedScan:
         """A cloud that was taken to stand still, deskewed by a velocity (6,) known since."""
-        moved = self.straightened(IntraScanMotion((twist - self.twist)[None]))
+        moved = self.straightened(IntraScanMotion(twist - self.twist, np.zeros(6)))
         return replace(moved, twist=twist)

@@ -230,7 +230,7 @@ class Tracker:
             twist = se3.log(se3.inverse(begun) @ outcome.fit.T_odom_sensor) / dt
             half[3:] = 0.5 * (cloud.rate(outcome.fit.intra_scan) - before)[3:]
             before = twist - half
-            motion = IntraScanMotion(np.stack([before - first.twist, half / dt]))
+            motion = IntraScanMotion(before - first.twist, half / dt)
             begun = start @ se3.inverse(motion.at(first.reported_s - first.instant_s))
             predicted = begun @ se3.exp(twist * dt)
             cloud = still.moved_by(twist + half)

@@ -42,7 +42,7 @@ def sweep(path: Callable[[float], np.ndarray], seed: int = 0) -> np.ndarray:
 
 def test_intra_scan_motion_carries_points_as_the_exponential_does() -> None:
     rng = np.random.default_rng(1)
-    intra_scan = IntraScanMotion(rng.normal(0.0, [[0.5], [5.0], [50.0]], (3, 6)))
+    intra_scan = IntraScanMotion(rng.normal(0.0, 0.5, 6), rng.normal(0.0, 5.0, 6))
     points, times = rng.normal(0.0, 10.0, (50, 3)), rng.uniform(-0.05, 0.05, 50)
     expected = [
         se3.apply(intra_scan.at(s), p[None])[0] for p, s in zip(points, times, strict=True)
@@ -54,8 +54,7 @@ def test_refinement_finds_the_motion_during_the_scan() -> None:
     middle = 0.05
     rate = np.array([0.1, -0.05, 0.05, 0.1, 0.4, -0.2])
     bend = np.array([0.0, 0.0, 0.5, 0.0, 4.0, 0.0])
-    jolt = np.array([0.0, 0.0, 0.0, 0.0, -80.0, 0.0])
-    truth = IntraScanMotion(np.stack([rate, bend, jolt]))
+    truth = IntraScanMotion(rate, bend)
     points = sweep(lambda t: HERE @ truth.at(t - middle), seed=3)[::2]
     times = TIMES[::2] - middle
     still = cast(ROOM, HERE, lidar_rays(480, 60), seed=4)[0]
@@ -71,7 +70,7 @@ def test_refinement_finds_the_motion_during_the_scan() -> None:
     assert np.trace(found.information) > 2.0 * np.trace(rigid.information)
     for s in (-middle, middle):
         off = se3.inverse(truth.at(s)) @ found.intra_scan.at(s)
-        assert se3.rotation_angle_deg(off[:3, :3]) < 0.2
+        assert se3.rotation_angle_deg(off[:3, :3]) < 0.15
         assert np.linalg.norm(off[:3, 3]) < 0.01
 
 

@@ -22,56 +22,60 @@ if TYPE_CHECKING:
 class IntraScanMotion:
     """Motion during a scan beyond that which its deskew has undone already.
 
-    A point measured `s` seconds after the instant of its cloud is carried there by the exponential
-    of the sum of terms[k] s^(k + 1), sensor frame.
+    A point measured `s` seconds after the instant of its cloud is carried there by
+    exp(rate s + bend s^2), sensor frame.
 
     Attributes:
-        terms: (K, 6), m/s^(k + 1) and rad/s^(k + 1): the velocity at the instant, half the
-            acceleration, and so on.
-        information: (6 + 6 K, 6 + 6 K) of pose and terms, sensor frame; None = it is known.
+        rate: (6,) m/s and rad/s.
+        bend: (6,) m/s^2 and rad/s^2.
+        information: (18, 18) of pose, rate and bend, sensor frame; None = it is known.
     """
 
-    terms: F64
+    rate: F64
+    bend: F64
     information: F64 | None = None
 
     def at(self, seconds: float) -> F64:
         """(4, 4) what carries a point measured so long after the instant to the instant."""
-        return se3.exp(seconds ** np.arange(1, len(self.terms) + 1) @ self.terms)
+        return se3.exp(self.rate * seconds + self.bend * seconds**2)
 
     def spread_at(self, seconds: float) -> F64:
         """(6, 6) covariance, sensor frame, of `at` for what is not known of the motion."""
         if self.information is None:
             return np.zeros((6, 6))
-        size, count = len(self.information), len(self.terms)
         unit = 1.0 / np.sqrt(np.maximum(np.diag(self.information), 1e-12))
-        scaled = self.information * np.outer(unit, unit) + 1e-9 * np.eye(size)
-        known = np.linalg.inv(scaled) * np.outer(unit, unit)
-        blocks = known[6:, 6:].reshape(count, 6, count, 6)
-        powers = seconds ** np.arange(1, count + 1)
+        scaled = self.information * np.outer(unit, unit) + 1e-9 * np.eye(18)
+        blocks = (np.linalg.inv(scaled) * np.outer(unit, unit))[6:, 6:].reshape(2, 6, 2, 6)
+        powers = np.array([seconds, seconds**2])
         spread: F64 = np.einsum('a,aibj,b->ij', powers, blocks, powers)
         return spread
 
     def undo(self, points: NDArray[Any], times: F64) -> NDArray[Any]:
         """Points (N, 3) measured at times (N,) after the instant, as seen at the instant."""
         moved = np.empty_like(points)
-        _carry(points, times, self.terms, moved)
+        _carry(points, times, self.rate, self.bend, moved)
         return moved
 
 
-NO_INTRA_SCAN_MOTION = IntraScanMotion(np.zeros((3, 6)))
+NO_INTRA_SCAN_MOTION = IntraScanMotion(np.zeros(6), np.zeros(6))
 
 
 @compiled
-def _carry(points, times, terms, moved):  # type: ignore[no-untyped-def]
-    """Each point moved by the exponential of the sum of terms[k] s^(k + 1), s its time."""
-    sums = np.zeros(6)
+def _carry(points, times, rate, bend, moved):  # type: ignore[no-untyped-def]
+    """Each point moved by exp(rate s + bend s^2), s its time."""
     for row in range(len(points)):
         s = times[row]
-        for i in range(6):
-            sums[i] = 0.0
-            for k in range(len(terms) - 1, -1, -1):
-                sums[i] = (sums[i] + terms[k, i]) * s
-        vx, vy, vz, wx, wy, wz = sums
+        q = s * s
+        wx, wy, wz = (
+            rate[3] * s + bend[3] * q,
+            rate[4] * s + bend[4] * q,
+            rate[5] * s + bend[5] * q,
+        )
+        vx, vy, vz = (
+            rate[0] * s + bend[0] * q,
+            rate[1] * s + bend[1] * q,
+            rate[2] * s + bend[2] * q,
+        )
         sq = wx * wx + wy * wy + wz * wz
         # Rodrigues' factors by their series: turns during a scan are small.
         a = 1.0 - sq / 6.0 * (1.0 - sq / 20.0)

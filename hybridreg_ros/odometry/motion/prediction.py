@@ -224,11 +224,10 @@ class Start:
         """What it adds to the Gauss-Newton system of pose and intra-scan motion, sensor frame.
 
         Returns:
-            (U, U) information of pose and terms of the motion, and (U,) gradient.
+            (18, 18) information of pose, rate and bend, and (18,) gradient.
         """
         off = se3.log(se3.inverse(self.pose) @ T_odom_sensor @ intra_scan.at(self.second))
         weight = np.repeat([self.shift_m**-2, self.turn_rad**-2], 3)
-        powers = self.second ** np.arange(len(intra_scan.terms) + 1)
-        outer = np.einsum('a,b,ij->aibj', powers, powers, np.diag(weight))
-        information = outer.reshape(6 * len(powers), 6 * len(powers))
+        powers = self.second ** np.arange(3)
+        information = np.einsum('a,b,ij->aibj', powers, powers, np.diag(weight)).reshape(18, 18)
         return information, np.outer(powers, weight * off).ravel()

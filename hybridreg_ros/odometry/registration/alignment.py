@@ -145,8 +145,7 @@ def _with_intra_scan_motion(
             scale = surfaces.scales(order, low, level.size_m)
             R, t, spread = T[:3, :3].copy(), T[:3, 3].copy(), (_POINT_SPREAD * level.size_m) ** 2
             pairs = surfaces.kind, surfaces.anchor, surfaces.normal, surfaces.variance, scale
-            orders = len(found.terms) + 1
-            sums = intra_scan_update.moments(moved, times, lasting, R, t, *pairs, spread, orders)
+            sums = intra_scan_update.moments(moved, times, lasting, R, t, *pairs, spread)
             T, found, length = intra_scan_update.update(found, T, sums, half_span, prior)
             moved = found.undo(points, times)
             step = max(step, length)

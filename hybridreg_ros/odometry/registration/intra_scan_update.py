@@ -31,10 +31,6 @@ scan (docs/lab/2026-11-22-motion-during-a-scan.md)."""
 _TURNING = (np.deg2rad(0.4), np.deg2rad(18.0))
 """Limits of the standard deviation of the angular velocity within a scan, rad/s."""
 
-_SHIFTING, _STEADY = 2, 1e4
-"""Terms beyond so many are of the turn alone, and the weight of their shift: on a rough road a car
-nods to and fro within a scan, but is hardly shifted (docs/lab/2026-11-29-rough-roads.md)."""
-
 
 def update(
     intra_scan: IntraScanMotion,
@@ -58,11 +54,10 @@ def update(
     """
     turn = np.zeros((6, 6))
     turn[:3, :3] = turn[3:, 3:] = T_odom_sensor[:3, :3]
-    orders = len(intra_scan.terms) + 1
-    H, b = np.zeros((6 * orders, 6 * orders)), np.zeros(6 * orders)
-    for i in range(orders):
+    H, b = np.zeros((18, 18)), np.zeros(18)
+    for i in range(3):
         b[6 * i : 6 * i + 6] = turn.T @ sums[1][i]
-        for j in range(orders):
+        for j in range(3):
             H[6 * i : 6 * i + 6, 6 * j : 6 * j + 6] = turn.T @ sums[0][i + j] @ turn
     if prior is not None:
         weight, pull = prior.pull(T_odom_sensor)  # alike along all axes, so turning keeps it
@@ -72,13 +67,11 @@ def update(
     if prior is not None and prior.turn_rate.any():
         turning = np.clip(_FOLLOW * prior.turn_rate, *_TURNING)
     spread = np.concatenate([np.full(3, _SPEED), turning])
-    weight = (half_span_s ** np.arange(orders - 1)[:, None] / spread) ** 2
-    weight[_SHIFTING:, :3] *= _STEADY
-    shape = np.eye(orders - 1)
-    shape[0, 2] = 0.6 * half_span_s**2  # as far as it is linear, a cubic motion counts as that
-    of_terms = np.einsum('ka,ki,kb,ij->aibj', shape, weight, shape, np.eye(6))
-    H[6:, 6:] += of_terms.reshape(H[6:, 6:].shape)
-    b[6:] += (shape.T @ (weight * (shape @ intra_scan.terms))).ravel()
+    for order, known in ((1, intra_scan.rate), (2, intra_scan.bend)):
+        weight = (half_span_s ** (order - 1) / spread) ** 2
+        rows = np.arange(6 * order, 6 * order + 6)
+        H[rows, rows] += weight
+        b[rows] += weight * known
     if prior is not None and prior.start is not None:
         information, gradient = prior.start.pull(T_odom_sensor, intra_scan)
         H += information
@@ -86,7 +79,7 @@ def update(
     step = solve(H, b)
     T = T_odom_sensor @ se3.transform(se3.so3_exp(step[3:6]), step[:3])
     moved = float(np.abs(step[6:12] / spread).max())
-    return T, IntraScanMotion(intra_scan.terms + step[6:].reshape(-1, 6), H), moved
+    return T, IntraScanMotion(intra_scan.rate + step[6:12], intra_scan.bend + step[12:], H), moved
 
 
 def solve(H: F64, b: F64) -> F64:
@@ -100,11 +93,11 @@ def solve(H: F64, b: F64) -> F64:
 
 
 @compiled
-def moments(points, times, weights, R, t, kind, anchor, normal, var, scale, point_var, orders):  # type: ignore[no-untyped-def]
+def moments(points, times, weights, R, t, kind, anchor, normal, var, scale, point_var):  # type: ignore[no-untyped-def]
     """Sums of the robust cost over powers of the time of each point.
 
     The unknowns are, per power, a shift (3,) of the position and a turn (3,) about the sensor, in
-    the axes of the map; residuals are weighted as in `kernels.normal_equations`.
+    the axes of the map; residuals are weighted as in `align.normal_equations`.
 
     Args:
         points: (N, 3) float64, sensor frame, as carried to the instant.
@@ -112,13 +105,12 @@ def moments(points, times, weights, R, t, kind, anchor, normal, var, scale, poin
         weights: (N,) trust per point, [0, 1].
         scale: (N,) standard deviation of a good plane residual, metres.
         point_var: variance of a point-to-point residual, m^2.
-        orders: number O of powers.
 
     Returns:
-        (2 O - 1, 6, 6) sums of w s^k J J^T, and (O, 6) sums of w s^k J r.
+        (5, 6, 6) sums of w s^k J J^T, and (3, 6) sums of w s^k J r.
     """
-    H = np.zeros((2 * orders - 1, 6, 6))
-    b = np.zeros((orders, 6))
+    H = np.zeros((5, 6, 6))
+    b = np.zeros((3, 6))
     J = np.zeros(6)
     for row in range(len(points)):
         if kind[row] == NONE or weights[row] <= 0.0:
@@ -148,14 +140,14 @@ def moments(points, times, weights, R, t, kind, anchor, normal, var, scale, poin
             w = weights[row] * kernel * kernel / variance
             J[0], J[1], J[2] = nx, ny, nz
             J[3], J[4], J[5] = ay * nz - az * ny, az * nx - ax * nz, ax * ny - ay * nx
-            for k in range(len(H)):
+            for k in range(5):
                 for i in range(6):
                     for j in range(i, 6):
                         H[k, i, j] += w * J[i] * J[j]
-                    if k < orders:
+                    if k < 3:
                         b[k, i] += w * J[i] * r
                 w *= times[row]
-    for k in range(len(H)):
+    for k in range(5):
         for i in range(6):
             for j in range(i):
                 H[k, i, j] = H[k, j, i]

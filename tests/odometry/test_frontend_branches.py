@@ -83,7 +83,7 @@ def test_encodings_of_keyframes_that_are_not_asked_for_go() -> None:
 
 
 def test_only_recent_keyframes_keep_their_encodings_while_the_pose_is_known() -> None:
-    config = replace(ASKING, keyframe=KeyframeConfig(max_age_s=0.15, window=2))
+    config = replace(ASKING, keyframe=KeyframeConfig(max_distance=0.5, window=2))
     odometry = HybridOdometry(config, model=NeighbourhoodRegistrar())
     for scan in scans(walk(10), RAYS):
         odometry.step(scan)

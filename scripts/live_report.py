@@ -2,14 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a sensor gets from the node while it plays at its own rate: answers and their delay.
 
-Scans of a recording go to and fro until the time is over, into the real node over DDS, with both
-of its clouds subscribed (and not decoded, as a subscriber in C++ would cost next to nothing).
+Scans of a sequence go to and fro until the time is over, into the real node over DDS, with both
+of its clouds subscribed (and not decoded, as a subscriber in C++ would cost next to nothing). A
+recording whose scans are further apart than the rate says is played faster than it was moved
+(`pace`); a simulated sequence is made at that rate, of a room with 640x480 pixels.
 
-python scripts/live_report.py depth_7scenes --every 3 --rate 10 --seconds 120
+python scripts/live_report.py depth_7scenes --rate 10 --seconds 120
 python scripts/live_report.py lidar_kitti_raw_22scans --rate 10 --seconds 30
-python scripts/live_report.py depth_7scenes --every 3 --rate 30 --seconds 30
-python scripts/live_report.py depth_7scenes --every 3 --burst 50    # scans that come at once
-python scripts/live_report.py depth_7scenes --every 3 --stall 3     # the node stands still, s
+python scripts/live_report.py dev-room-933 --rate 30 --seconds 30
+python scripts/live_report.py depth_7scenes --burst 50    # scans that come at once
+python scripts/live_report.py depth_7scenes --stall 3     # the node stands still, s
 
 After a burst or a stall in the middle, poses of scans are compared with those that the same scans
 had in the first third.
@@ -37,10 +39,11 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
 from hybridreg_ros.benchmark import suite_data
-from hybridreg_ros.benchmark.suite_list import chosen
+from hybridreg_ros.benchmark.suite_list import SEQUENCES
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.pointcloud2 import from_arrays
 from hybridreg_ros.core.scan import NS_PER_S
+from hybridreg_ros.data.sequences.simulate import simulate
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.ros.conversions import from_pose, to_pointcloud2, to_time
 from hybridreg_ros.ros.node_config import NodeConfig
@@ -91,16 +94,21 @@ class Listener:
         self.status.update({v.key: v.value for s in message.status for v in s.values})
 
 
-def serialised(name: str, data: Path, every: int) -> list[bytearray]:
-    """Every n-th scan of a recording as a serialised PointCloud2."""
-    (sequence,) = chosen('real', [name])
-    clouds = []
-    for frame in suite_data.load(sequence, data, data)[::every]:
-        header = Header(stamp=to_time(0), frame_id='sensor')
-        clouds.append(
-            bytearray(serialize_message(to_pointcloud2(from_arrays(frame.scan.points), header)))
-        )
-    return clouds
+def serialised(args: argparse.Namespace) -> tuple[list[bytearray], float]:
+    """Every n-th scan of a sequence as a serialised PointCloud2; how much faster than moved."""
+    sequence = SEQUENCES[args.sequence]
+    if sequence.source == 'simulated':
+        scene = 'room' if sequence.kind == 'depth' else 'street'
+        seed, share = sequence.seed, sequence.share
+        made = simulate(scene, args.frames, args.rate, seed, dynamic=share, size=(640, 480))
+        points, apart_s = [f.points for f in made], 1.0 / args.rate
+    else:
+        frames = suite_data.load(sequence, args.data, args.data)
+        points = [f.scan.points for f in frames]
+        apart_s = (frames[-1].scan.stamp - frames[0].scan.stamp) / (len(frames) - 1) / NS_PER_S
+    header = Header(stamp=to_time(0), frame_id='sensor')
+    clouds = (to_pointcloud2(from_arrays(some), header) for some in points[:: args.every])
+    return [bytearray(serialize_message(c)) for c in clouds], apart_s * args.every * args.rate
 
 
 def to_and_fro(clouds: list[bytearray]) -> Iterator[bytearray]:
@@ -176,7 +184,7 @@ def cpu_s(pid: int) -> float:
 
 def measured(args: argparse.Namespace) -> dict[str, Any]:
     """Play and listen."""
-    domain, clouds = 1 + os.getpid() % 99, serialised(args.recording, args.data, args.every)
+    domain, (clouds, pace) = 1 + os.getpid() % 99, serialised(args)
     source = to_and_fro(clouds)
     with (
         own_node(_NAMESPACE, domain) as node,
@@ -197,6 +205,7 @@ def measured(args: argparse.Namespace) -> dict[str, Any]:
     delays = 1e3 * np.array([heard.arrived[s] - t for s, t in sent.items() if s in heard.arrived])
     answered = len(delays)
     return {
+        'pace': pace,
         'sent': len(sent),
         'answered': answered,
         'answered %': 100.0 * answered / len(sent),
@@ -215,8 +224,9 @@ def measured(args: argparse.Namespace) -> dict[str, Any]:
 def main() -> int:
     """Measure, print and say as JSON."""
     parser = argparse.ArgumentParser(description=(__doc__ or '').split('\n', maxsplit=1)[0])
-    parser.add_argument('recording', help='name in the suite of recordings')
+    parser.add_argument('sequence', choices=list(SEQUENCES), metavar='SEQUENCE')
     parser.add_argument('--data', type=Path, default=Path('../shared/data'))
+    parser.add_argument('--frames', type=int, default=150, help='of a simulated sequence')
     parser.add_argument('--every', type=int, default=1, help='take every n-th scan')
     parser.add_argument('--rate', type=float, default=10.0, help='scans a second')
     parser.add_argument('--seconds', type=float, default=30.0)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.core.pages import give_back
+from hybridreg_ros.core.heap import give_back
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.locator import Locator
 from hybridreg_ros.odometry.motion.intra_scan_motion import IntraScanMotion

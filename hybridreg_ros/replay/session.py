@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hybridreg_ros.core.config import load_yaml, to_dict
-from hybridreg_ros.core.pages import one_heap
+from hybridreg_ros.core.heap import one_heap
 from hybridreg_ros.data.loaders.clouds import write_cloud
 from hybridreg_ros.metrics.extrinsic import extrinsic_of, follow
 from hybridreg_ros.odometry.config import OdometryConfig

@@ -13,7 +13,6 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.node import Node
 
 from hybridreg_ros.core.errors import HybridRegError
-from hybridreg_ros.core.pages import one_heap
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.ros.journal import Journal
 from hybridreg_ros.ros.node_config import RESTART_ONLY, RUNTIME, NodeConfig
@@ -164,7 +163,6 @@ def run(argv: list[str], stop: StopSignals, managed: bool = False) -> None:
     Raises:
         HybridRegError: the node cannot start.
     """
-    one_heap()
     with ros_session(argv, stop) as session, contextlib.suppress(ExternalShutdownException):
         _serve(session, ManagedOdometryNode if managed else OdometryNode)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
+from hybridreg_ros.core.heap import one_heap
 from hybridreg_ros.ros.stop_signals import StopSignals, leave
 
 if TYPE_CHECKING:
@@ -49,6 +50,7 @@ def main(args: list[str] | None = None) -> int:
         end the process with 0 from within; --help, --version and unknown arguments as argparse.
     """
     argv = sys.argv[1:] if args is None else args
+    one_heap()
     with StopSignals() as stop:
         code = _run(argv, stop)
     if stop.asked:

@@ -11,7 +11,8 @@ import sys
 import numpy as np
 import pytest
 
-from hybridreg_ros.core.pages import give_back, has_pages, one_heap, paged, resident_mb, zeros
+from hybridreg_ros.core.heap import give_back, one_heap
+from hybridreg_ros.core.pages import has_pages, paged, resident_mb, zeros
 
 
 @pytest.mark.parametrize('shape', [(), 0, 7, (5, 3), (0, 4)])
@@ -74,7 +75,7 @@ def test_threads_share_one_heap_unless_told(given: str | None, heaps: int) -> No
     env |= {'MALLOC_ARENA_MAX': given} if given not in {None, 'unset'} else {}
     code = (
         'import ctypes, threading\n'
-        'from hybridreg_ros.core.pages import one_heap\n'
+        'from hybridreg_ros.core.heap import one_heap\n'
         f'{"" if given == "unset" else "one_heap()"}\n'
         'c = ctypes.CDLL(None)\n'
         'c.malloc.restype, c.malloc.argtypes = ctypes.c_size_t, [ctypes.c_size_t]\n'

@@ -18,7 +18,7 @@ from rcl_interfaces.srv import DescribeParameters, ListParameters
 from ros_harness import KISS, QUICK, STEP_NS, cloud, domain, room, running
 
 from hybridreg_ros.odometry.config import OdometryConfig
-from hybridreg_ros.ros import node
+from hybridreg_ros.ros import odometry_node
 from hybridreg_ros.ros.odometry_node import main
 from hybridreg_ros.ros.parameters import leaves
 from hybridreg_ros.ros.playback.node_process import LOCALHOST, NodeProcess
@@ -108,7 +108,7 @@ def test_help_version_and_strays_are_answered_without_a_start(argument, code, te
 def test_threads_of_the_node_share_one_heap(monkeypatch):
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain()))
     asked = []
-    monkeypatch.setattr(node, 'one_heap', lambda: asked.append(1))
+    monkeypatch.setattr(odometry_node, 'one_heap', lambda: asked.append(1))
     assert main(['--ros-args', '-p', 'voxel_size_m:=-1']) == 2
     assert asked == [1]
 

@@ -39,14 +39,11 @@ def run(args: argparse.Namespace) -> int:
         from hybridreg_ros.benchmark import bench_step
 
         return told(args, *bench_step.run(args))
-    import torch
-
     source, target = _clouds(args)
     if args.peers:
         from hybridreg_ros.benchmark import bench_peers
 
         return told(args, *bench_peers.run(args, source, target))
-    torch.set_num_threads(args.threads)
     rest = _peak_mb()
     stages: dict[str, dict[str, list[float]]] = {}
     weights = _register(args, source, target, stages)

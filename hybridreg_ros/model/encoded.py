@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.model.geometry.views import View
-    from hybridreg_ros.model.network.network import Encoding
+    from hybridreg_ros.model.network.output import Encoding
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class EncodedCloud:
         encode_s: seconds it took.
     """
 
-    encoding: Encoding
+    encoding: Encoding[NDArray[np.float32]]
     view: View
     points: NDArray[np.float32]
     encode_s: float

@@ -22,7 +22,7 @@ from hybridreg_ros.core.config import dump_yaml, to_dict
 from hybridreg_ros.core.errors import WeightsError
 from hybridreg_ros.model.checkpoint import load_network, save_network
 from hybridreg_ros.model.config import ModelConfig
-from hybridreg_ros.model.network.network import HybridRegNet
+from hybridreg_ros.model.reference.network import HybridRegNet
 from hybridreg_ros.training import optim
 from hybridreg_ros.training.generator import Generator
 from hybridreg_ros.training.samples import SampleStream, loader, to_device

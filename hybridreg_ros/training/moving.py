@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from scipy.spatial import cKDTree
 
 from hybridreg_ros.core import se3
@@ -195,7 +194,7 @@ def score_moving(
             'network': _network_uncertainty(model, source, target),
             'result': (result.source_uncertainty, result.target_uncertainty),
         }
-        if model.net.static is not None:
+        if model.config.static_width:
             own = model.point_mask(source, target, result.T_target_source)
             other = model.point_mask(target, source, se3.inverse(result.T_target_source))
             said['static'] = (1.0 - own.static, 1.0 - other.static)
@@ -233,12 +232,11 @@ def _network_uncertainty(
     model: HybridReg, source: EncodedCloud, target: EncodedCloud
 ) -> tuple[F32, F32]:
     """The network's sigma2 of every input point of both clouds, (N,) and (M,)."""
-    with torch.inference_mode():
-        coarse = model.net.correlate(source.encoding, target.encoding)
+    coarse = model.net.correlate(source.encoding, target.encoding)
     found = []
     for cloud, sigma2 in ((source, coarse.source_sigma2), (target, coarse.target_sigma2)):
         pyramid = cloud.encoding.pyramid
-        spread = upsample_to_level0(pyramid, sigma2.cpu().numpy())
+        spread = upsample_to_level0(pyramid, sigma2)
         found.append(values_of_inputs(pyramid, spread))
     return found[0], found[1]
 

@@ -53,7 +53,8 @@ class Sample:
 
     Attributes:
         pair: the (augmented) pair; point arrays are empty when only learning needs it.
-        source: pyramid of the source.
+        source: pyramid of the source; in a training sample tensors stand in place of the arrays
+            that the network reads.
         target: pyramid of the target.
         labels: what is right; its arrays are torch tensors of the same shapes.
     """
@@ -107,8 +108,8 @@ def patches_of(pyramid: Pyramid, label: NDArray[np.uint8]) -> Patches:
     share = _cell_mean(cell, label == Label.STATIC, len(pyramid.levels[0].points))
     for level, above in itertools.pairwise(pyramid.levels[: pyramid.fine_level + 1]):
         assert level.up_index is not None
-        share = _cell_mean(level.up_index.numpy(), share, len(above.points))
-    return Patches(pyramid.fine_points.numpy(), share > 0.5, pyramid.patch_index.numpy())
+        share = _cell_mean(level.up_index, share, len(above.points))
+    return Patches(pyramid.fine_points, share > 0.5, pyramid.patch_index)
 
 
 def _cell_mean(cell: NDArray[np.int64], value: NDArray[Any], size: int) -> NDArray[np.float64]:
@@ -125,6 +126,17 @@ def _as_tensors(labels: PairLabels) -> PairLabels:
         for f in dataclasses.fields(labels)
     }
     return PairLabels(**values)
+
+
+def read_as_tensors(pyramid: Pyramid) -> Pyramid:
+    """A pyramid with tensors for the network to read: they change processes without a copy."""
+
+    def tensor(leaf: Any) -> Any:
+        return torch.from_numpy(leaf) if isinstance(leaf, np.ndarray) else leaf
+
+    read = ('levels', 'patch_index', 'patch_mask', 'geometry')
+    values: dict[str, Any] = {name: mapped(getattr(pyramid, name), tensor) for name in read}
+    return dataclasses.replace(pyramid, **values)
 
 
 def to_device(value: Any, device: str) -> Any:
@@ -200,7 +212,12 @@ class SampleStream(IterableDataset[Sample]):
         pair = augment(pair, self._config.augment, rng)
         budget = self._config.budget.drawn(rng)
         made = prepare(pair, self._model, self._config.loss, rng, budget)
-        return dataclasses.replace(made, pair=_without_points(pair))
+        return Sample(
+            _without_points(pair),
+            read_as_tensors(made.source),
+            read_as_tensors(made.target),
+            made.labels,
+        )
 
     def _draw(self, source: ShardSource, number: int, rng: np.random.Generator) -> PointPair:
         """A random pair; early in a run those with much overlap only (as far as there are any).

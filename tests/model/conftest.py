@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from hybridreg_ros.model.config import ModelConfig
-from hybridreg_ros.model.network.network import HybridRegNet
+from hybridreg_ros.model.reference.network import HybridRegNet
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The geometric transformer without gradients, compiled (reference: `attention.py`).
+"""The geometric transformer without gradients, compiled (twin: `reference/attention.py`).
 
 A layer is a few matrix products; look-up of the geometry, softmax and layer normalisation go
 through each row while it is in the cache.
@@ -118,7 +118,7 @@ def linear(x: F32, pack: Pack, at: int) -> F32:
 
 
 @compiled
-def _rectify(x: F32) -> None:
+def rectify(x: F32) -> None:
     """ReLU of (N, C), in place."""
     for i in range(x.shape[0]):
         row = x[i]
@@ -167,7 +167,7 @@ def _finished(x: F32, mixed: F32, pack: Pack, at: int) -> F32:
     y = linear(mixed, pack, at + 2)
     z = _normalised(x, y, matrix(flat, shape, at + 4), matrix(flat, shape, at + 5))
     wide = linear(z, pack, at + 6)
-    _rectify(wide)
+    rectify(wide)
     y = linear(wide, pack, at + 8)
     out: F32 = _normalised(z, y, matrix(flat, shape, at + 10), matrix(flat, shape, at + 11))
     return out
@@ -196,16 +196,18 @@ def cross_attention(
 
 
 @compiled
-def _unit(x: F32) -> None:
-    """Rows (S, C) to unit length, in place."""
+def unit_rows(x: F32) -> F32:
+    """Rows (S, C) of unit length."""
+    out = np.empty_like(x)
     for i in range(x.shape[0]):
-        row = x[i]
+        row, to = x[i], out[i]
         total = _ZERO
         for c in range(x.shape[1]):
             total += row[c] * row[c]
         share = _ONE / max(np.sqrt(total), np.float32(1e-12))
         for c in range(x.shape[1]):
-            row[c] *= share
+            to[c] = row[c] * share
+    return out
 
 
 @compiled
@@ -216,7 +218,7 @@ def _logits(x: F32, crossed: F32, pack: Pack, at: int) -> F32:
     hidden = np.dot(x, weight[:dim])
     hidden += np.dot(crossed, weight[dim:])
     add_bias(hidden, matrix(flat, shape, at + 1))
-    _rectify(hidden)
+    rectify(hidden)
     out: F32 = linear(hidden, pack, at + 2)
     return out
 
@@ -251,7 +253,5 @@ def correlate(
     cx, cy = cross_attention(before_x, before_y, x_bins, pack, at, heads)
     at += PER_ATTENTION
     x_logits, y_logits = _logits(before_x, cx, pack, at), _logits(before_y, cy, pack, at)
-    x, y = linear(x, pack, at + 4), linear(y, pack, at + 4)
-    _unit(x)
-    _unit(y)
+    x, y = unit_rows(linear(x, pack, at + 4)), unit_rows(linear(y, pack, at + 4))
     return x, y, x_logits, y_logits

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""KPConv-FPN without gradients in one compiled call (reference: `backbone.py`).
+"""KPConv-FPN without gradients in one compiled call (twin: `reference/backbone.py`).
 
 A residual block gathers a few hundred points at a time, so that what the kernel points gathered is
 still in the cache when the matrix product reads it; normalisation, skip connection and activation

@@ -5,14 +5,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-import torch
+import numpy as np
 
 if TYPE_CHECKING:
-    from hybridreg_ros.model.config import ModelConfig
+    from numpy.typing import NDArray
 
-    Tensor = torch.Tensor
+    from hybridreg_ros.model.config import ModelConfig
+    from hybridreg_ros.model.network.output import SuperpointOutput
+
+    F32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,13 +27,11 @@ class SuperpointPairs:
         scores: (P,) float32 masked correlation.
     """
 
-    index: Tensor
-    scores: Tensor
+    index: NDArray[np.int64]
+    scores: F32
 
 
-def gaussian_correlation(
-    x: Tensor, y: Tensor, dual: bool = True, temperature: float = 0.5
-) -> Tensor:
+def gaussian_correlation(x: F32, y: F32, dual: bool = True, temperature: float = 0.5) -> F32:
     """exp(-||x_i - y_j||^2 / 2t) of unit features, times its shares of row and column if `dual`.
 
     Args:
@@ -43,16 +44,16 @@ def gaussian_correlation(
     Returns:
         (S, T).
     """
-    s = torch.exp((x @ y.t() - 1.0) / temperature)
+    s: F32 = np.exp((x @ y.T - 1.0) / temperature)
     if dual:
-        s = (s / s.sum(dim=1, keepdim=True)) * (s / s.sum(dim=0, keepdim=True))
+        s = (s / s.sum(axis=1, keepdims=True)) * (s / s.sum(axis=0, keepdims=True))
     return s
 
 
 def pair_weights(
-    source_sigma2: Tensor, target_sigma2: Tensor, combination: str, exponent: float = 1.0
-) -> Tensor:
-    """Weight (S, T) of every superpoint pair under the mask.
+    source_sigma2: Any, target_sigma2: Any, combination: str, exponent: float = 1.0
+) -> Any:
+    """Weight (S, T) of every superpoint pair under the mask; of arrays, or of tensors.
 
     `confidence_product` trusts a pair only when both sides are trusted; `variance_product` is
     the paper's 1 - sigma2_i * sigma2_j, high already when one side is. Either is raised to
@@ -65,28 +66,23 @@ def pair_weights(
     return weight if exponent == 1.0 else weight**exponent
 
 
-def select_pairs(
-    x: Tensor,
-    y: Tensor,
-    source_sigma2: Tensor,
-    target_sigma2: Tensor,
-    config: ModelConfig,
-) -> SuperpointPairs:
-    """The best pairs.
+def select_pairs(coarse: SuperpointOutput[F32], config: ModelConfig) -> SuperpointPairs:
+    """The best pairs under the mask, if the config uses it.
 
     Args:
-        x: (S, C) unit features of the source superpoints.
-        y: (T, C) of the target.
-        source_sigma2: (S,) uncertainty.
-        target_sigma2: (T,).
+        coarse: of S source and T target superpoints.
         config: normalisation, kind of mask, and number of pairs.
     """
-    scores = gaussian_correlation(x, y, config.dual_normalisation, config.pair_temperature)
+    scores = gaussian_correlation(
+        coarse.source_features,
+        coarse.target_features,
+        config.dual_normalisation,
+        config.pair_temperature,
+    )
     if config.use_mask:
-        scores = scores * pair_weights(
-            source_sigma2, target_sigma2, config.mask_combination, config.mask_exponent
-        )
-    count = min(config.top_pairs, scores.numel())
-    best, flat = torch.topk(scores.flatten(), count)
-    index = torch.stack([flat // scores.shape[1], flat % scores.shape[1]], dim=1)
-    return SuperpointPairs(index, best)
+        sigma2 = coarse.source_sigma2, coarse.target_sigma2
+        scores = scores * pair_weights(*sigma2, config.mask_combination, config.mask_exponent)
+    flat = scores.ravel()
+    best = np.argpartition(-flat, min(config.top_pairs, len(flat)) - 1)[: config.top_pairs]
+    best = best[np.lexsort((best, -flat[best]))]
+    return SuperpointPairs(np.stack(np.divmod(best, scores.shape[1]), axis=1), flat[best])

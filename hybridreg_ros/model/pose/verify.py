@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
 from hybridreg_ros.model.geometry.views import View, fits, intrusions
 from hybridreg_ros.model.network.descriptors import MATCH_TEMPERATURE, likely_pairs
@@ -31,8 +30,9 @@ if TYPE_CHECKING:
 
     from hybridreg_ros.model.encoded import EncodedCloud
     from hybridreg_ros.model.geometry.pyramid import Pyramid
-    from hybridreg_ros.model.network.network import Encoding
+    from hybridreg_ros.model.network.output import Encoding
 
+    F32 = NDArray[np.float32]
     F64 = NDArray[np.float64]
 
 _MATCHES = 300
@@ -94,20 +94,18 @@ class Proposals:
 def view_of(pyramid: Pyramid) -> View:
     """A cloud's finest level, prepared for judging and refining poses."""
     sensor = -pyramid.origin_m / pyramid.voxel_size_m
-    return View.build(pyramid.levels[0].points.cpu().numpy(), pyramid.normals, sensor)
+    return View.build(pyramid.levels[0].points, pyramid.normals, sensor)
 
 
-def descriptor_matches(source: Encoding, target: Encoding) -> Candidates:
+def descriptor_matches(source: Encoding[F32], target: Encoding[F32]) -> Candidates:
     """The fine points most likely to be the same, whatever their superpoints, voxels."""
-    with torch.no_grad():
-        index, likelihood = likely_pairs(
-            source.fine_features, target.fine_features, _MATCHES, MATCH_TEMPERATURE
-        )
-    rows = index.numpy()
+    rows, likelihood = likely_pairs(
+        source.fine_features, target.fine_features, _MATCHES, MATCH_TEMPERATURE
+    )
     return Candidates(
-        source.pyramid.fine_points.cpu().numpy()[rows[:, 0]].astype(np.float64),
-        target.pyramid.fine_points.cpu().numpy()[rows[:, 1]].astype(np.float64),
-        likelihood.numpy().astype(np.float64),
+        source.pyramid.fine_points[rows[:, 0]].astype(np.float64),
+        target.pyramid.fine_points[rows[:, 1]].astype(np.float64),
+        likelihood.astype(np.float64),
     )
 
 

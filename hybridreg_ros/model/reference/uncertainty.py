@@ -10,7 +10,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from hybridreg_ros.model.network.attention import CrossLayer
+from hybridreg_ros.model.reference.attention import CrossLayer
 
 if TYPE_CHECKING:
     from hybridreg_ros.model.config import ModelConfig
@@ -41,11 +41,6 @@ class MaskHead(nn.Module):
         hidden = functional.relu(self.hidden(torch.cat([torch.cat([x, y]), crossed], dim=1)))
         logits = self.output(hidden)
         return logits[: len(x)], logits[len(x) :]
-
-
-def static_of(logits: Tensor) -> Tensor:
-    """P(static) (S,) of logits (S, n); with one output P(static and seen), the nearest thing."""
-    return torch.sigmoid(logits[:, 0])
 
 
 def sigma2_of(logits: Tensor) -> Tensor:

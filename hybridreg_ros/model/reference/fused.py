@@ -25,6 +25,11 @@ _EPSILON = 1e-5
 _BLOCK = 64
 
 
+def tensor_of(values: Any, like: Tensor) -> Tensor:
+    """An array or tensor as a tensor on the device of another, on the CPU without a copy."""
+    return torch.as_tensor(values, device=like.device)
+
+
 @compiled
 def _norm_forward(x: F32, gain: F32, bias: F32, groups: int, slope: float) -> tuple[F32, F32, F32]:
     n, channels = x.shape
@@ -156,8 +161,8 @@ def _max_backward(g: F32, arg: NDArray[np.int32], n: int) -> F32:
 
 class _NeighbourMax(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, x: Tensor, near: Tensor) -> Tensor:
-        out, arg = _max_forward(x.detach().contiguous().numpy(), near.numpy())
+    def forward(ctx: Any, x: Tensor, near: Any) -> Tensor:
+        out, arg = _max_forward(x.detach().contiguous().numpy(), np.asarray(near))
         ctx.arg, ctx.inputs = arg, x.shape[0]
         return torch.from_numpy(out)
 
@@ -167,12 +172,13 @@ class _NeighbourMax(torch.autograd.Function):
         return torch.from_numpy(_max_backward(g, ctx.arg, ctx.inputs)), None
 
 
-def neighbour_max(x: Tensor, near: Tensor) -> Tensor:
+def neighbour_max(x: Tensor, near: Any) -> Tensor:
     """Largest feature among the neighbours of each output point.
 
     Args:
         x: (N, C) features.
-        near: (M, H) int32 neighbours, padded with N; a row of padding gives zeros.
+        near: (M, H) int32 neighbours, array or tensor, padded with N; a row of padding gives
+            zeros.
 
     Returns:
         (M, C).
@@ -180,7 +186,7 @@ def neighbour_max(x: Tensor, near: Tensor) -> Tensor:
     if x.device.type == 'cpu':
         return _NeighbourMax.apply(x.float(), near)  # type: ignore[no-any-return,no-untyped-call]
     padded = torch.cat([x, x.new_full((1, x.shape[1]), -torch.inf)])
-    best = padded[near.long()].amax(dim=1)
+    best = padded[tensor_of(near, x).long()].amax(dim=1)
     return torch.where(torch.isinf(best), torch.zeros_like(best), best)
 
 
@@ -223,25 +229,25 @@ def _lookup_backward(g: F32, bins: NDArray[np.int16], rows: int, angles: bool) -
 
 class _Lookup(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, table: Tensor, bins: Tensor, angles: bool) -> Tensor:
-        ctx.bins, ctx.rows, ctx.angles = bins, table.shape[2], angles
+    def forward(ctx: Any, table: Tensor, bins: Any, angles: bool) -> Tensor:
+        ctx.bins, ctx.rows, ctx.angles = np.asarray(bins), table.shape[2], angles
         return torch.from_numpy(
-            _lookup_forward(table.detach().contiguous().numpy(), bins.numpy(), angles)
+            _lookup_forward(table.detach().contiguous().numpy(), ctx.bins, angles)
         )
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None]:
         g = grads[0].contiguous().numpy()
-        out = _lookup_backward(g, ctx.bins.numpy(), ctx.rows, ctx.angles)
+        out = _lookup_backward(g, ctx.bins, ctx.rows, ctx.angles)
         return torch.from_numpy(out), None, None
 
 
-def lookup_scores(table: Tensor, bins: Tensor) -> Tensor:
+def lookup_scores(table: Tensor, bins: Any) -> Tensor:
     """Geometric attention scores from per-query tables: distance term plus mean angle term.
 
     Args:
         table: (H, S, B) score of head h, query n with table row b.
-        bins: (S, S, 1 + A) int16 rows for every pair: one distance, A angles.
+        bins: (S, S, 1 + A) int16 rows for every pair, array or tensor: one distance, A angles.
 
     Returns:
         (H, S, S).
@@ -249,7 +255,7 @@ def lookup_scores(table: Tensor, bins: Tensor) -> Tensor:
     if table.device.type == 'cpu':
         return _Lookup.apply(table.float(), bins, bins.shape[2] > 1)  # type: ignore[no-any-return,no-untyped-call]
     heads, s, _ = table.shape
-    rows = bins.long().reshape(1, s, -1).expand(heads, s, -1)
+    rows = tensor_of(bins, table).long().reshape(1, s, -1).expand(heads, s, -1)
     values = table.gather(2, rows).view(heads, s, bins.shape[1], bins.shape[2])
     scores = values[..., 0]
     if bins.shape[2] > 1:

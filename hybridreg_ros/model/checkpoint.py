@@ -95,15 +95,6 @@ def save_network(
         raise WeightsError(f'cannot write weights to {path}: {_one_line(error)}') from None
 
 
-def load_network(path: str | Path) -> HybridRegNet:
-    """The network of a weights file, in evaluation mode.
-
-    Raises:
-        WeightsError: see `load_checkpoint`.
-    """
-    return load_checkpoint(path).network
-
-
 def load_checkpoint(path: str | Path) -> Checkpoint:
     """Read a weights file strictly.
 

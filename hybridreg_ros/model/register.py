@@ -23,7 +23,7 @@ from hybridreg_ros.model.encoded import EncodedCloud
 from hybridreg_ros.model.geometry.pyramid import build_pyramid, metric_transform, voxel_transform
 from hybridreg_ros.model.geometry.upsampling import values_of_inputs
 from hybridreg_ros.model.network.estimators import judged
-from hybridreg_ros.model.network.forward import CompiledNetwork, has_compiled_form
+from hybridreg_ros.model.network.forward import Network
 from hybridreg_ros.model.network.matching import match
 from hybridreg_ros.model.network.output import check_voxels
 from hybridreg_ros.model.pose.confidence import PairCalibration, features_of
@@ -52,7 +52,6 @@ if TYPE_CHECKING:
     from hybridreg_ros.model.config import ModelConfig
     from hybridreg_ros.model.network.estimators import PoseEstimate
     from hybridreg_ros.model.network.matching import MatchOutput
-    from hybridreg_ros.model.network.output import Network
     from hybridreg_ros.model.pose.evidence import CloudEvidence
     from hybridreg_ros.model.pose.refine import Refinement
     from hybridreg_ros.model.pose.verify import Verified
@@ -77,10 +76,10 @@ class HybridReg:
     def __init__(
         self,
         config: ModelConfig,
-        net: Network | HybridRegNet | None = None,
+        net: Network | HybridRegNet,
         calibration: PairCalibration | None = None,
     ) -> None:
-        """Wrap a network; without `net` one with random weights is made (tests, training).
+        """Wrap a network.
 
         Args:
             config: sizes, those of `net`, and how it is used.
@@ -88,11 +87,7 @@ class HybridReg:
             calibration: of the confidence.
         """
         self.config = config
-        if net is None:
-            from hybridreg_ros.model.reference.network import HybridRegNet
-
-            net = HybridRegNet(config)
-        self.net: Network = net.for_use() if hasattr(net, 'for_use') else net
+        self.net = net if isinstance(net, Network) else net.for_use()
         self.calibration = calibration or PairCalibration()
         self.provenance: Mapping[str, object] = {}
 
@@ -104,9 +99,7 @@ class HybridReg:
             WeightsError: missing, truncated, foreign or unfit weights, or none packaged yet.
         """
         found = load_checkpoint(packaged_weights() if path is None else path)
-        compiled = has_compiled_form(found.config)
-        net = CompiledNetwork(found.config, found.weights) if compiled else found.network
-        model = cls(found.config, net, found.calibration)
+        model = cls(found.config, Network(found.config, found.weights), found.calibration)
         model.provenance = found.provenance
         return model
 
@@ -289,7 +282,8 @@ class HybridReg:
         start = time.perf_counter()
         views = source.view, target.view
         with ThreadPoolExecutor(1) as beside:
-            proposed = beside.submit(proposals_of, source, target) if self._verifies else None
+            verifies = self.config.estimator == 'verified'
+            proposed = beside.submit(proposals_of, source, target) if verifies else None
             found = self.matches(source, target)
             middle = time.perf_counter()
             evidence = beside.submit(evidence_of, source, target, found)
@@ -327,10 +321,6 @@ class HybridReg:
         """
         a, b = source.encoding, target.encoding
         return match(a, b, self.net.correlate(a, b), self.net.dustbin, self.config)
-
-    @property
-    def _verifies(self) -> bool:
-        return self.config.estimator == 'verified'
 
     def _result(
         self,

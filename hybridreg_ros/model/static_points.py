@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from hybridreg_ros.model.encoded import EncodedCloud
     from hybridreg_ros.model.geometry.pyramid import Pyramid
-    from hybridreg_ros.model.network.output import Network
+    from hybridreg_ros.model.network.forward import Network
 
     F32 = NDArray[np.float32]
     F64 = NDArray[np.float64]

@@ -8,14 +8,13 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.data.pair import Label
 from hybridreg_ros.metrics import registration
 from hybridreg_ros.model.budget import voxel_size_m
 from hybridreg_ros.model.geometry.upsampling import upsample_to_level0, values_of_inputs
-from hybridreg_ros.training.validation import MATCH_VOXELS, overlap_points, threshold_m
+from hybridreg_ros.training.validation import MATCH_VOXELS, meets, overlap_points, threshold_m
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -219,13 +218,7 @@ def _seen(pair: PointPair) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     moved = se3.apply(pair.T_target_source, pair.source)
     own, other = pair.source_label == Label.STATIC, pair.target_label == Label.STATIC
     radius = MATCH_VOXELS * pair.voxel_size_m
-    found = []
-    for points, others in ((moved, pair.target[other]), (pair.target, moved[own])):
-        distance, _ = cKDTree(others, balanced_tree=False).query(
-            points, distance_upper_bound=radius
-        )
-        found.append(np.isfinite(distance))
-    return found[0], found[1]
+    return meets(moved, pair.target[other], radius), meets(pair.target, moved[own], radius)
 
 
 def _network_uncertainty(

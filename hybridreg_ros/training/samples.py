@@ -53,10 +53,9 @@ class Sample:
 
     Attributes:
         pair: the (augmented) pair; point arrays are empty when only learning needs it.
-        source: pyramid of the source; in a training sample tensors stand in place of the arrays
-            that the network reads.
+        source: pyramid of the source.
         target: pyramid of the target.
-        labels: what is right; its arrays are torch tensors of the same shapes.
+        labels: what is right.
     """
 
     pair: PointPair
@@ -99,7 +98,7 @@ def prepare(
         max_pairs=loss.max_patch_pairs,
         max_anchors=loss.max_anchors if loss.descriptor_weight > 0.0 else 0,
     )
-    return Sample(pair, source, target, _as_tensors(labels))
+    return Sample(pair, source, target, labels)
 
 
 def patches_of(pyramid: Pyramid, label: NDArray[np.uint8]) -> Patches:
@@ -120,23 +119,22 @@ def _cell_mean(cell: NDArray[np.int64], value: NDArray[Any], size: int) -> NDArr
     return total / np.maximum(count, 1)
 
 
-def _as_tensors(labels: PairLabels) -> PairLabels:
-    values: dict[str, Any] = {
-        f.name: torch.from_numpy(np.ascontiguousarray(getattr(labels, f.name)))
-        for f in dataclasses.fields(labels)
-    }
-    return PairLabels(**values)
+def as_tensors(sample: Sample) -> Sample:
+    """A sample with tensors in place of what network and losses read.
 
-
-def read_as_tensors(pyramid: Pyramid) -> Pyramid:
-    """A pyramid with tensors for the network to read: they change processes without a copy."""
+    They change processes without a copy.
+    """
 
     def tensor(leaf: Any) -> Any:
         return torch.from_numpy(leaf) if isinstance(leaf, np.ndarray) else leaf
 
-    read = ('levels', 'patch_index', 'patch_mask', 'geometry')
-    values: dict[str, Any] = {name: mapped(getattr(pyramid, name), tensor) for name in read}
-    return dataclasses.replace(pyramid, **values)
+    def read(pyramid: Pyramid) -> Pyramid:
+        names = ('levels', 'patch_index', 'patch_mask', 'geometry')
+        values: dict[str, Any] = {name: mapped(getattr(pyramid, name), tensor) for name in names}
+        return dataclasses.replace(pyramid, **values)
+
+    sides = read(sample.source), read(sample.target)
+    return Sample(sample.pair, *sides, mapped(sample.labels, tensor))
 
 
 def to_device(value: Any, device: str) -> Any:
@@ -212,12 +210,7 @@ class SampleStream(IterableDataset[Sample]):
         pair = augment(pair, self._config.augment, rng)
         budget = self._config.budget.drawn(rng)
         made = prepare(pair, self._model, self._config.loss, rng, budget)
-        return Sample(
-            _without_points(pair),
-            read_as_tensors(made.source),
-            read_as_tensors(made.target),
-            made.labels,
-        )
+        return as_tensors(dataclasses.replace(made, pair=_without_points(pair)))
 
     def _draw(self, source: ShardSource, number: int, rng: np.random.Generator) -> PointPair:
         """A random pair; early in a run those with much overlap only (as far as there are any).

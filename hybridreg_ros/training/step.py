@@ -13,7 +13,7 @@ from torch.nn import functional as F
 
 from hybridreg_ros.model.geometry.pyramid import voxel_transform
 from hybridreg_ros.model.network.descriptors import MATCH_TEMPERATURE
-from hybridreg_ros.model.network.superpoints import pair_weights
+from hybridreg_ros.model.network.matching import pair_weights
 from hybridreg_ros.model.reference.fused import tensor_of
 from hybridreg_ros.training import losses
 
@@ -73,10 +73,12 @@ def pair_losses(
     coarse = coarse_loss(coarse_out, labels, config, network.config)
     fine = zero
     if config.fine_weight > 0.0 and len(labels.pair_source):
-        pairs = torch.stack([as_tensor(labels.pair_source), as_tensor(labels.pair_target)], dim=1)
+        pairs = torch.stack(
+            [torch.as_tensor(labels.pair_source), torch.as_tensor(labels.pair_target)], dim=1
+        )
         assignment = network.patch_scores(source, target, pairs)
         valid = torch.ones(len(pairs), dtype=torch.bool, device=pairs.device)
-        fine = losses.point_matching_loss(assignment, as_tensor(labels.fine), valid)
+        fine = losses.point_matching_loss(assignment, torch.as_tensor(labels.fine), valid)
     descriptor = zero
     if config.descriptor_weight > 0.0:
         descriptor = fine_descriptor_loss(
@@ -113,12 +115,6 @@ def _encoded(network: HybridRegNet, pyramid: Pyramid, precision: str) -> Encodin
     )
 
 
-def as_tensor(value: object) -> Tensor:
-    """The tensor that a prepared sample holds in place of an array."""
-    assert isinstance(value, Tensor)
-    return value
-
-
 def coarse_loss(
     output: SuperpointOutput[Tensor], labels: PairLabels, config: LossConfig, model: ModelConfig
 ) -> Tensor:
@@ -128,7 +124,7 @@ def coarse_loss(
     weighs it; only the features learn from it, the mask has its own loss.
     """
     similarity = output.source_features @ output.target_features.T
-    overlap = as_tensor(labels.overlap)
+    overlap = torch.as_tensor(labels.overlap)
     total = similarity.sum() * 0.0
     weight = None
     if config.masked_correlation:
@@ -152,7 +148,7 @@ def fine_descriptor_loss(
 
     Points within `near_voxels` of an anchor's match are no negatives.
     """
-    anchors = as_tensor(labels.anchors)
+    anchors = torch.as_tensor(labels.anchors)
     sides = (source, anchors[:, 0]), (target, anchors[:, 1])
     unit = [F.normalize(side.fine_features, dim=1) for side, _ in sides]
     terms = []
@@ -190,7 +186,7 @@ def mask_loss(output: SuperpointOutput[Tensor], labels: PairLabels, config: Loss
     if config.mask in ('nll', 'log_sum_exp'):
         # exp(-||x - y||^2) of unit features: the paper's correlation before its normalisation
         correlation = torch.exp(2.0 * (output.source_features @ output.target_features.T - 1.0))
-        overlaps = as_tensor(labels.overlap) > config.positive_overlap
+        overlaps = torch.as_tensor(labels.overlap) > config.positive_overlap
         log_variance = losses.pair_log_variance(output.source_sigma2, output.target_sigma2)
         form = losses.laplace_nll if config.mask == 'nll' else losses.laplace_log_sum_exp
         return form(correlation, overlaps, log_variance, stop_gradient=config.mask_stop_gradient)
@@ -201,9 +197,9 @@ def mask_loss(output: SuperpointOutput[Tensor], labels: PairLabels, config: Loss
     terms = []
     for logits, sigma2, trusted, static in sides:
         if config.mask == 'l1':
-            terms.append(losses.mask_l1(sigma2, as_tensor(trusted)))
+            terms.append(losses.mask_l1(sigma2, torch.as_tensor(trusted)))
         else:
-            terms.append(_side_bce(logits, as_tensor(trusted), as_tensor(static)))
+            terms.append(_side_bce(logits, torch.as_tensor(trusted), torch.as_tensor(static)))
     return torch.stack(terms).mean()
 
 

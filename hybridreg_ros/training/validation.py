@@ -18,7 +18,7 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.data.pair import Label
 from hybridreg_ros.metrics import registration
 from hybridreg_ros.model.encoded import EncodedCloud
-from hybridreg_ros.model.network.superpoints import select_pairs
+from hybridreg_ros.model.network.matching import select_pairs
 from hybridreg_ros.model.pose.verify import view_of
 from hybridreg_ros.model.register import HybridReg
 from hybridreg_ros.training.report import (
@@ -111,16 +111,25 @@ def threshold_m(voxel_size_m: float) -> float:
     return INDOOR_THRESHOLD_M if voxel_size_m < INDOOR_VOXEL_M else OUTDOOR_THRESHOLD_M
 
 
+def meets(points: F32, others: F32, radius_m: float) -> NDArray[np.bool_]:
+    """Whether one of the others (M, 3) lies within the radius of each point (N, 3)."""
+    tree = cKDTree(others, balanced_tree=False)
+    found: NDArray[np.bool_] = np.isfinite(tree.query(points, distance_upper_bound=radius_m)[0])
+    return found
+
+
+def seen_static(pair: PointPair, points: F32) -> NDArray[np.bool_]:
+    """Whether the target has a static point at the place of each of these (K, 3) of the source."""
+    static = pair.target[pair.target_label == Label.STATIC]
+    moved = se3.apply(pair.T_target_source, points)
+    return meets(moved, static, MATCH_VOXELS * pair.voxel_size_m)
+
+
 def point_mask_auc(pair: PointPair, uncertainty: NDArray[np.float32], seed: int = 0) -> float:
     """AUC of 1 - uncertainty (N,) against 'static and seen', over at most 4,000 source points."""
     rows = np.random.default_rng(seed).permutation(len(pair.source))[: 2 * SCORED_POINTS]
-    static = pair.source_label[rows] == Label.STATIC
-    tree = cKDTree(pair.target[pair.target_label == Label.STATIC], balanced_tree=False)
-    distance, _ = tree.query(
-        se3.apply(pair.T_target_source, pair.source[rows]),
-        distance_upper_bound=MATCH_VOXELS * pair.voxel_size_m,
-    )
-    return registration.roc_auc(static & np.isfinite(distance), 1.0 - uncertainty[rows])
+    trusted = (pair.source_label[rows] == Label.STATIC) & seen_static(pair, pair.source[rows])
+    return registration.roc_auc(trusted, 1.0 - uncertainty[rows])
 
 
 def overlap_points(pair: PointPair, seed: int = 0) -> NDArray[np.float32]:
@@ -129,12 +138,7 @@ def overlap_points(pair: PointPair, seed: int = 0) -> NDArray[np.float32]:
     if len(static) > SCORED_POINTS:
         keep = np.random.default_rng(seed).choice(len(static), SCORED_POINTS, replace=False)
         static = static[keep]
-    tree = cKDTree(pair.target[pair.target_label == Label.STATIC], balanced_tree=False)
-    distance, _ = tree.query(
-        se3.apply(pair.T_target_source, static),
-        distance_upper_bound=MATCH_VOXELS * pair.voxel_size_m,
-    )
-    seen: NDArray[np.float32] = static[np.isfinite(distance)]
+    seen: F32 = static[seen_static(pair, static)]
     return seen
 
 
@@ -200,7 +204,6 @@ def score_of(
     first, result = results
     matches = first.correspondences
     sigma2 = coarse.source_sigma2, coarse.target_sigma2
-    chosen = select_pairs(coarse, config)
     return PairScore(
         name=pair.name,
         split=split_of(pair),
@@ -215,7 +218,7 @@ def score_of(
             T, matches.source, matches.target, 2.0 * pair.voxel_size_m
         ),
         coarse_precision=registration.coarse_precision(
-            np.asarray(sample.labels.overlap), *chosen.index.T
+            np.asarray(sample.labels.overlap), *select_pairs(coarse, config).T
         ),
         mask_auc=mask_auc(sample, sigma2),
         point_mask_auc=point_mask_auc(pair, result.source_uncertainty),

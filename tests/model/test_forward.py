@@ -18,17 +18,19 @@ from hybridreg_ros.model.checkpoint import load_checkpoint, packaged_weights
 from hybridreg_ros.model.config import ModelConfig
 from hybridreg_ros.model.geometry.pyramid import build_pyramid
 from hybridreg_ros.model.network.forward_attention import exponentials
-from hybridreg_ros.model.reference.network import HybridRegNet, ReferenceNetwork
+from hybridreg_ros.model.reference.network import HybridRegNet
 from hybridreg_ros.model.register import HybridReg
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from hybridreg_ros.model.network.output import Encoding
+    from hybridreg_ros.model.network.forward import Network
 
     F32 = NDArray[np.float32]
+    ByTorch = Callable[[HybridRegNet], Network]
 
 FEATURES = 1e-5
 """Largest difference of features, relative to the largest of them."""
@@ -40,45 +42,45 @@ def apart(a: F32, b: F32) -> float:
     return float(np.abs(a - b).max() / np.abs(b).max())
 
 
-def both(room: np.ndarray, net: HybridRegNet) -> list[tuple[Encoding[F32], Encoding[F32]]]:
-    """Two clouds, each encoded by torch and by the compiled functions."""
+@pytest.mark.parametrize(
+    'change',
+    [
+        {},
+        {'extra_blocks': 0},
+        {'mask_outputs': 1, 'fine_level': 0},
+        {'angle_reduction': 'max', 'max_superpoints': 100},
+        {'bottleneck': 8, 'groups': 16},
+    ],
+)
+def test_features_and_scores_agree(
+    room: np.ndarray, change: dict[str, Any], by_torch: ByTorch
+) -> None:
+    torch.manual_seed(5)
+    net = HybridRegNet(dataclasses.replace(ModelConfig(), **change)).eval()
     turn = se3.exp(np.array([0.3, -0.2, 0.1, 0.1, 0.2, 1.2]))
     clouds = room, (room[::2] @ turn[:3, :3].T + turn[:3, 3]).astype(np.float32)
     pyramids = [build_pyramid(cloud, 0.08, net.config) for cloud in clouds]
-    return [(ReferenceNetwork(net).encode(p), net.for_use().encode(p)) for p in pyramids]
-
-
-@pytest.mark.parametrize('change', [{}, {'extra_blocks': 0}, {'mask_outputs': 1, 'fine_level': 0}])
-def test_features_and_scores_agree(room: np.ndarray, change: dict[str, Any]) -> None:
-    torch.manual_seed(5)
-    net = HybridRegNet(dataclasses.replace(ModelConfig(), **change)).eval()
-    (a, fa), (b, fb) = both(room, net)
+    (a, fa), (b, fb) = ((by_torch(net).encode(p), net.for_use().encode(p)) for p in pyramids)
     assert apart(fa.fine_features, a.fine_features) < FEATURES
     assert apart(fa.superpoint_features, a.superpoint_features) < FEATURES
-    one, two = ReferenceNetwork(net).correlate(a, b), net.for_use().correlate(fa, fb)
+    one, two = by_torch(net).correlate(a, b), net.for_use().correlate(fa, fb)
     for name in vars(one):
         assert apart(getattr(two, name), getattr(one, name)) < LOGITS, name
 
 
-def test_pose_confidence_and_uncertainty_agree(room: np.ndarray) -> None:
+def test_pose_confidence_and_uncertainty_agree(room: np.ndarray, by_torch: ByTorch) -> None:
     found = load_checkpoint(packaged_weights())
     moved = (room + np.array([0.3, -0.2, 0.1], np.float32))[: len(room) * 3 // 4]
     fast, slow = (
         model.match(*(model.encode(cloud, 0.065) for cloud in (room, moved)))
         for model in (
             HybridReg.from_pretrained(),
-            HybridReg(found.config, ReferenceNetwork(found.network), found.calibration),
+            HybridReg(found.config, by_torch(found.network), found.calibration),
         )
     )
     np.testing.assert_allclose(fast.T_target_source, slow.T_target_source, atol=1e-4)
     np.testing.assert_allclose(fast.confidence, slow.confidence, atol=1e-3)
     np.testing.assert_allclose(fast.source_uncertainty, slow.source_uncertainty, atol=1e-3)
-
-
-@pytest.mark.parametrize('change', [{'angle_reduction': 'max'}, {'bottleneck': 8, 'groups': 16}])
-def test_a_network_of_another_kind_is_computed_by_torch(change: dict[str, Any]) -> None:
-    net = HybridRegNet(dataclasses.replace(ModelConfig(), **change))
-    assert isinstance(net.for_use(), ReferenceNetwork)
 
 
 def test_neither_import_step_nor_registration_needs_torch(tmp_path: Path) -> None:

@@ -45,9 +45,9 @@ def test_shifted_copy_is_found_even_with_random_weights(
     np.testing.assert_allclose(match.T_target_source[:3, 3], SHIFT_M, atol=5e-3)
     moved = match.source_points + SHIFT_M
     near = np.linalg.norm(moved - match.target_points, axis=1) < 0.1
-    assert match.inliers.sum() >= 3
-    assert (match.inliers == near).mean() > 0.9
-    assert len(match.weights) == len(match.source_points) == len(match.inliers)
+    assert match.estimate.inliers.sum() >= 3
+    assert (match.estimate.inliers == near).mean() > 0.9
+    assert len(match.weights) == len(match.source_points) == len(match.estimate.inliers)
 
 
 def test_encode_once_equals_joint_forward(

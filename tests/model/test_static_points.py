@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -16,9 +17,14 @@ from hybridreg_ros.metrics.registration import roc_auc
 from hybridreg_ros.model.budget import Budget
 from hybridreg_ros.model.checkpoint import load_checkpoint, packaged_weights
 from hybridreg_ros.model.config import ModelConfig
-from hybridreg_ros.model.reference.network import HybridRegNet, ReferenceNetwork
+from hybridreg_ros.model.reference.network import HybridRegNet
 from hybridreg_ros.model.register import HybridReg
 from hybridreg_ros.model.static_points import head_input
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from hybridreg_ros.model.network.forward import Network
 
 VOXEL_M = 0.08
 
@@ -119,7 +125,8 @@ def test_weights_without_a_head_say_so(headless: HybridReg, room: np.ndarray) ->
 
 def test_the_order_of_the_points_does_not_matter(scene: tuple) -> None:
     torch.manual_seed(2)
-    model = HybridReg(ModelConfig(static_width=8))
+    config = ModelConfig(static_width=8)
+    model = HybridReg(config, HybridRegNet(config))
     source, target, T, _ = scene
     order = np.random.default_rng(0).permutation(len(source))
     b = model.encode(target, VOXEL_M)
@@ -129,14 +136,16 @@ def test_the_order_of_the_points_does_not_matter(scene: tuple) -> None:
 
 
 @pytest.mark.parametrize('fine_level', [0, 1])
-def test_torch_and_the_compiled_head_agree(scene: tuple, fine_level: int) -> None:
+def test_torch_and_the_compiled_head_agree(
+    scene: tuple, fine_level: int, by_torch: Callable[[HybridRegNet], Network]
+) -> None:
     torch.manual_seed(2)
     config = ModelConfig(static_width=8, fine_level=fine_level)
     net = HybridRegNet(config)
     source, target, T, _ = scene
     one, other = (
         model.point_mask(model.encode(source, VOXEL_M), model.encode(target, VOXEL_M), T)
-        for model in (HybridReg(config, net), HybridReg(config, ReferenceNetwork(net)))
+        for model in (HybridReg(config, net), HybridReg(config, by_torch(net)))
     )
     np.testing.assert_allclose(one.static, other.static, atol=1e-5)
     np.testing.assert_allclose(one.seen, other.seen, atol=1e-5)

@@ -21,10 +21,10 @@ from hybridreg_ros.training import sources
 from hybridreg_ros.training.config import LossConfig
 from hybridreg_ros.training.samples import (
     SampleStream,
+    as_tensors,
     loader,
     patches_of,
     prepare,
-    read_as_tensors,
     to_device,
 )
 from hybridreg_ros.training.sources import ShardSource, held_out_pairs
@@ -43,8 +43,8 @@ def test_prepared_labels_agree_with_the_true_transform():
     far = np.linalg.norm(moved[:, None] - target[None], axis=2) > 2.5
     assert (overlap[far] == 0).all()
     assert sample.labels.fine.shape[1:] == (17, 17)
-    arrays: list[Any] = [getattr(sample.labels, f.name) for f in dataclasses.fields(sample.labels)]
-    assert all(isinstance(a, torch.Tensor) for a in arrays)
+    tensors: list[Any] = list(vars(as_tensors(sample).labels).values())
+    assert all(isinstance(a, torch.Tensor) for a in tensors)
 
 
 def test_moving_points_are_no_matches():
@@ -205,7 +205,7 @@ def test_held_out_pairs_are_spread_over_folders(shards):
 
 def test_to_device_reaches_every_tensor():
     sample = prepare(make_pair(0), TINY, LossConfig(), np.random.default_rng(0))
-    sample = dataclasses.replace(sample, source=read_as_tensors(sample.source))
+    sample = as_tensors(sample)
     moved = to_device(sample, 'meta')
     assert moved.labels.overlap.device.type == 'meta'
     assert moved.source.levels[0].conv.weights.device.type == 'meta'

@@ -3,7 +3,7 @@
 """The network without gradients on a CPU, in a few compiled calls.
 
 The torch modules in `model/reference` are what trains; both agree up to the rounding of float32
-(a test compares them).
+(tests compare them).
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from hybridreg_ros.model.network.output import (
     check_voxels,
     sigma2_of,
 )
-from hybridreg_ros.model.network.packed import middle_width
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,21 +36,19 @@ if TYPE_CHECKING:
     I64 = NDArray[np.int64]
 
 
-def has_compiled_form(config: ModelConfig) -> bool:
-    """Whether the compiled functions do what this network does: whole groups, mean over angles."""
-    whole = all(middle_width(w, config) % config.groups == 0 for w in config.widths)
-    return whole and config.angle_reduction == 'mean'
+class Network:
+    """The network in use, on arrays.
 
-
-class CompiledNetwork:
-    """A `Network` of arrays, on one core of the CPU."""
+    Attributes:
+        dustbin: score of a fine point without a partner.
+    """
 
     def __init__(self, config: ModelConfig, weights: Weights) -> None:
         self._config, self._weights = config, weights
         self.dustbin = weights.dustbin
 
     def encode(self, pyramid: Pyramid) -> Encoding[F32]:
-        """One cloud; what it keeps needs no operators."""
+        """Backbone, projection and first self-attention; what it keeps needs no operators."""
         config, weights, levels = self._config, self._weights, pyramid.levels
         fine, coarse = backbone(
             weights.backbone,
@@ -67,7 +64,7 @@ class CompiledNetwork:
         return Encoding(pyramid.encoded, fine, features)
 
     def correlate(self, source: Encoding[F32], target: Encoding[F32]) -> SuperpointOutput[F32]:
-        """Two clouds.
+        """Transformer and mask head over the superpoints of two clouds.
 
         Raises:
             RegistrationError: the encodings were made with different voxel sizes.
@@ -86,7 +83,7 @@ class CompiledNetwork:
         return SuperpointOutput(x, y, x_logits, y_logits, *sigma2)
 
     def static_logits(self, looks: F32, fine: F32, owners: Sequence[I64]) -> F32:
-        """What the static head says of every point."""
+        """Logits (N, 2) of P(static) and P(seen) of N points (`StaticHead.forward`)."""
         pack = self._weights.static
         assert pack is not None, 'these weights have no static head'
         found: F32 = static_logits(pack, looks, fine, tuple(owners), self._config.fine_level)

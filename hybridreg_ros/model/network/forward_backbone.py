@@ -9,6 +9,7 @@ walk through memory once.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,7 +38,7 @@ _GATHERED = 131_072
 def _scale_and_shift(x: F32, gain: F32, bias: F32, groups: int) -> tuple[F32, F32]:
     """What group normalisation over the points (N, C) multiplies with and adds, (C,) each."""
     n, channels = x.shape
-    width = channels // groups
+    width = channels // math.gcd(groups, channels)
     total, square = np.zeros(channels), np.zeros(channels)
     a, b = np.empty(channels, np.float32), np.empty(channels, np.float32)
     for first in range(0, n, _SUM_ROWS):  # short float32 sums, gathered in float64
@@ -51,8 +52,8 @@ def _scale_and_shift(x: F32, gain: F32, bias: F32, groups: int) -> tuple[F32, F3
         for c in range(channels):
             total[c] += a[c]
             square[c] += b[c]
-    for g in range(groups):
-        low, high = g * width, (g + 1) * width
+    for low in range(0, channels, width):
+        high = low + width
         mean = total[low:high].sum() / (n * width)
         variance = max(square[low:high].sum() / (n * width) - mean * mean, 0.0)
         rate = 1.0 / np.sqrt(variance + _EPSILON)
@@ -223,8 +224,9 @@ def backbone(
     none = np.zeros((0, 0), np.int32)
     x = _stem(convolutions[0], up_index[0].shape[0], matrix(flat, shape, 0))
     _normalise(x, matrix(flat, shape, 1), matrix(flat, shape, 2), groups)
-    x = _residual(x, convolutions[0], x.shape[0], none, pack, 3, groups)
-    at = 3 + PER_BLOCK
+    at = np.int64(3)  # not a literal, for which numba would compile all once more
+    x = _residual(x, convolutions[0], x.shape[0], none, pack, at, groups)
+    at += PER_BLOCK
     skips = [x]
     for level in range(len(pools)):
         near = pool_index[level]

@@ -24,15 +24,6 @@ _BLOCK = 4096
 
 
 @compiled
-def _add_rows(x: F32, rows: F32, owner: I64) -> None:
-    """Add to each of x (N, C) the row of its owner, in place."""
-    for i in range(x.shape[0]):
-        own, other = x[i], rows[owner[i]]
-        for c in range(x.shape[1]):
-            own[c] += other[c]
-
-
-@compiled
 def _gathered(x: F32, count: F32, owner: I64, size: int) -> tuple[F32, F32]:
     """Sums (size, C) of the rows of x (N, C) by their owner, and of how many points they are."""
     total, counted = np.zeros((size, x.shape[1]), np.float32), np.zeros(size, np.float32)
@@ -42,17 +33,6 @@ def _gathered(x: F32, count: F32, owner: I64, size: int) -> tuple[F32, F32]:
             to[c] += of[c]
         counted[owner[i]] += count[i]
     return total, counted
-
-
-@compiled
-def _shares(total: F32, count: F32) -> F32:
-    """Means (N, C) of sums of so many points."""
-    out = np.empty_like(total)
-    for i in range(total.shape[0]):
-        row, of, share = out[i], total[i], np.float32(1.0) / max(count[i], np.float32(1e-6))
-        for c in range(total.shape[1]):
-            row[c] = of[c] * share
-    return out
 
 
 @compiled
@@ -78,7 +58,7 @@ def static_logits(
     for level in range(levels):
         above = owners[level + 1].shape[0] if level + 1 < levels else 1 + owners[level].max()
         total, count = _gathered(total, count, owners[level], above)
-        means.append(_shares(total, count))
+        means.append(total / np.maximum(count, np.float32(1e-6)).reshape(-1, 1))
     after = 2 + 3 * levels
     y = means[0]
     for level in range(levels - 1, -1, -1):
@@ -87,14 +67,14 @@ def static_logits(
             z += np.dot(fine, matrix(pack[0], pack[1], after - 1))
         if level + 1 < levels:
             higher = np.dot(y, matrix(pack[0], pack[1], 2 + 2 * levels + level))
-            _add_rows(z, higher, owners[level + 1])
+            z += higher[owners[level + 1]]
         rectify(z)
         y = z
     around = np.dot(y, matrix(pack[0], pack[1], after + 2))
     out = np.empty((n, 2), np.float32)
     for first in range(0, n, _BLOCK):
         part = linear(points[first : first + _BLOCK], pack, after)
-        _add_rows(part, around, owners[0][first : first + _BLOCK])
+        part += around[owners[0][first : first + _BLOCK]]
         rectify(part)
         out[first : first + _BLOCK] = linear(part, pack, after + 3)
     return out

@@ -5,15 +5,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
 from hybridreg_ros.core.errors import RegistrationError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from hybridreg_ros.model.geometry.pyramid import Pyramid
@@ -59,27 +57,6 @@ class SuperpointOutput(Generic[Values]):
     target_logits: Values
     source_sigma2: Values
     target_sigma2: Values
-
-
-class Network(Protocol):
-    """A network without gradients, whatever computes it."""
-
-    @property
-    def dustbin(self) -> float:
-        """Score of a fine point without a partner."""
-
-    def encode(self, pyramid: Pyramid) -> Encoding[F32]:
-        """Backbone, projection and first self-attention of one cloud."""
-
-    def correlate(self, source: Encoding[F32], target: Encoding[F32]) -> SuperpointOutput[F32]:
-        """Transformer and mask head over the superpoints of two clouds.
-
-        Raises:
-            RegistrationError: the encodings were made with different voxel sizes.
-        """
-
-    def static_logits(self, looks: F32, fine: F32, owners: Sequence[NDArray[np.int64]]) -> F32:
-        """Logits (N, 2) of P(static) and P(seen), as `StaticHead.forward`."""
 
 
 def check_voxels(source: Encoding[Any], target: Encoding[Any]) -> None:

@@ -37,7 +37,8 @@ PER_UNARY = 3
 PER_BLOCK = 12
 """Matrices of a residual block: reduce, convolution with its norm, expand, shortcut."""
 PER_ATTENTION = 13
-"""Matrices of an attention layer, the last of them the rows of the geometry table per head."""
+"""Matrices of an attention layer, the last of them the geometry table as each head sees it (of
+angles that are not averaged: what turns the queries)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +49,8 @@ class Weights:
         backbone: stem (3), residual blocks (12 each), decoder but its last layer (3 each), last
             layer of the decoder and projection (2 each).
         transformer: self- and cross-attention of every block (13 each), cross-attention of the
-            mask (13), its two layers (2 each), output (2).
+            mask (13), its two layers (2 each), output (2), and the geometry table whose rows are
+            asked one by one where the angles are not averaged.
         static: points (2), means (2 for each level), from above (1 for each level but the
             coarsest), fine features, own (2), around, output (2); None without a static head.
         dustbin: score of a fine point without a partner.
@@ -177,11 +179,12 @@ def _residual(
 
 
 def _transformer(read: _Reader, config: ModelConfig) -> Matrices:
-    dim, table = config.dim, _table(read, config)
+    dim, table, averaged = config.dim, _table(read, config), config.angle_reduction == 'mean'
     for i in range(config.blocks):
         yield from _attention(read, f'self_layers.{i}', config)
         # (heads * width, bins): the rows of one head are its own matrix
-        yield read(f'self_layers.{i}.position.weight', dim, dim) @ table.T
+        position = read(f'self_layers.{i}.position.weight', dim, dim)
+        yield position @ table.T if averaged else position
         yield from _attention(read, f'cross_layers.{i}', config)
         yield None
     yield from _attention(read, 'mask.cross', config)
@@ -189,6 +192,7 @@ def _transformer(read: _Reader, config: ModelConfig) -> Matrices:
     yield from read.linear('mask.hidden', 2 * dim, dim)
     yield from read.linear('mask.output', dim, config.mask_outputs)
     yield from read.linear('output', dim, dim)
+    yield None if averaged else table
 
 
 def _attention(read: _Reader, name: str, config: ModelConfig) -> Matrices:
@@ -198,7 +202,7 @@ def _attention(read: _Reader, name: str, config: ModelConfig) -> Matrices:
         tuple(read.linear(f'{name}.{part}', dim, dim)) for part in ('query', 'key', 'value')
     )
     for ours, key, value in zip(q, k, v, strict=True):
-        yield np.concatenate([ours * np.float32(scale), key, value], axis=-1)
+        yield np.concatenate([ours * scale, key, value], axis=-1)
     yield from read.linear(f'{name}.merge', dim, dim)
     yield from read.norm(f'{name}.norm', dim)
     yield from read.linear(f'{name}.feed.widen', dim, 2 * dim)
@@ -220,21 +224,16 @@ def _table(read: _Reader, config: ModelConfig) -> F32:
 
 def bin_sinusoids(config: ModelConfig) -> F32:
     """Sinusoids (B, dim) of the distance bins, then of the angle bins."""
-    distance = np.arange(config.distance_bins, dtype=np.float32) * np.float32(config.distance_step)
-    angle = np.arange(config.angle_bins, dtype=np.float32) * np.float32(
-        180.0 / (config.angle_bins - 1)
-    )
-    phases = (
-        distance / np.float32(config.sigma_distance),
-        angle / np.float32(config.sigma_angle_deg),
-    )
+    distance = np.arange(config.distance_bins, dtype=np.float32) * config.distance_step
+    angle = np.arange(config.angle_bins, dtype=np.float32) * (180.0 / (config.angle_bins - 1))
+    phases = distance / config.sigma_distance, angle / config.sigma_angle_deg
     return sinusoids(np.concatenate(phases), config.dim)
 
 
 def sinusoids(values: F32, dim: int) -> F32:
     """Sine and cosine of values (N,) at dim / 2 frequencies from 1 down to 1e-4: (N, dim)."""
     half = np.arange(0, dim, 2, dtype=np.float32)
-    phase = values[:, None] * np.exp(half * np.float32(-math.log(10_000.0) / dim))
+    phase = values[:, None] * np.exp(half * (-math.log(10_000.0) / dim))
     return np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(len(values), dim)
 
 

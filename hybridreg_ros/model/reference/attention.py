@@ -117,19 +117,6 @@ class SelfLayer(_Attention):
         q, k, v = self.projected(x)
         return self.finish(x, self.mixed(q, k, v, self.geometric_scores(q, table, bins)))
 
-    def both(
-        self, x: Tensor, y: Tensor, table: Tensor, x_bins: Any, y_bins: Any
-    ) -> tuple[Tensor, Tensor]:
-        """`forward` of two clouds, with their projections and feed-forward in one product each."""
-        z, n = torch.cat([x, y]), len(x)
-        q, k, v = self.projected(z)
-        parts = [
-            self.mixed(q[:, s], k[:, s], v[:, s], self.geometric_scores(q[:, s], table, bins))
-            for s, bins in ((slice(None, n), x_bins), (slice(n, None), y_bins))
-        ]
-        out = self.finish(z, torch.cat(parts))
-        return out[:n], out[n:]
-
     def geometric_scores(self, q: Tensor, table: Tensor, bins: Any) -> Tensor:
         """Scores q . (W r) of all pairs by way of (q W) . table: (heads, S, S).
 
@@ -149,17 +136,7 @@ class SelfLayer(_Attention):
 class CrossLayer(_Attention):
     """Attention of one cloud to the other."""
 
-    def forward(self, x: Tensor, y: Tensor) -> Tensor:
-        """Features (S, dim) that have looked at the features y (T, dim) of the other cloud."""
-        return self.both(x, y)[0]
-
-    def both(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         """Features (S, dim) and (T, dim) that have looked at each other."""
-        z, n = torch.cat([x, y]), len(x)
-        q, k, v = self.projected(z)
-        parts = [
-            self.mixed(q[:, :n], k[:, n:], v[:, n:]),
-            self.mixed(q[:, n:], k[:, :n], v[:, :n]),
-        ]
-        out = self.finish(z, torch.cat(parts))
-        return out[:n], out[n:]
+        (qx, kx, vx), (qy, ky, vy) = self.projected(x), self.projected(y)
+        return self.finish(x, self.mixed(qx, ky, vy)), self.finish(y, self.mixed(qy, kx, vx))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""HybridRegNet: encode a cloud once, then correlate encodings; and the same on arrays."""
+"""HybridRegNet: encode a cloud once, then correlate encodings."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from hybridreg_ros.model.network.forward import CompiledNetwork, has_compiled_form
+from hybridreg_ros.model.network.forward import Network
 from hybridreg_ros.model.network.output import Encoding, SuperpointOutput, check_voxels
 from hybridreg_ros.model.network.packed import packed
 from hybridreg_ros.model.reference.attention import CrossLayer, GeometryTable, SelfLayer
@@ -18,20 +18,49 @@ from hybridreg_ros.model.reference.backbone import Backbone
 from hybridreg_ros.model.reference.fused import tensor_of
 from hybridreg_ros.model.reference.static_head import StaticHead
 from hybridreg_ros.model.reference.transport import Transport
-from hybridreg_ros.model.reference.uncertainty import MaskHead, sigma2_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     import numpy as np
     from numpy.typing import NDArray
 
     from hybridreg_ros.model.config import ModelConfig
     from hybridreg_ros.model.geometry.pyramid import Pyramid
-    from hybridreg_ros.model.network.output import Network
 
     F32 = NDArray[np.float32]
     Tensor = torch.Tensor
+
+
+class MaskHead(nn.Module):
+    """One cross-attention on the last self-attention features, then a two-layer MLP."""
+
+    def __init__(self, config: ModelConfig) -> None:
+        super().__init__()
+        self.cross = CrossLayer(config)
+        self.hidden = nn.Linear(2 * config.dim, config.dim)
+        self.output = nn.Linear(config.dim, config.mask_outputs)
+
+    def forward(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Logits of both clouds.
+
+        Args:
+            x: (S, dim) source features after the last self-attention.
+            y: (T, dim) target features.
+
+        Returns:
+            (S, n) and (T, n) logits, n = config.mask_outputs.
+        """
+        crossed = torch.cat(self.cross(x, y))
+        hidden = functional.relu(self.hidden(torch.cat([torch.cat([x, y]), crossed], dim=1)))
+        logits = self.output(hidden)
+        return logits[: len(x)], logits[len(x) :]
+
+
+def sigma2_of(logits: Tensor) -> Tensor:
+    """Uncertainty (S,) in (0, 1) of logits (S, n): one minus the product of their sigmoids."""
+    confidence = functional.logsigmoid(logits).sum(dim=1).exp()
+    return (1.0 - confidence).clamp(1e-6, 1.0 - 1e-6)
 
 
 class HybridRegNet(nn.Module):
@@ -67,10 +96,8 @@ class HybridRegNet(nn.Module):
         return {k: v.detach().cpu().numpy() for k, v in self.state_dict().items()}
 
     def for_use(self) -> Network:
-        """Its weights of now compiled; the network itself where that cannot be."""
-        if has_compiled_form(self.config) and self.project.weight.device.type == 'cpu':
-            return CompiledNetwork(self.config, packed(self.config, self.parameters_by_name()))
-        return ReferenceNetwork(self)
+        """Its weights of now, for the compiled functions."""
+        return Network(self.config, packed(self.config, self.parameters_by_name()))
 
     def encode(self, pyramid: Pyramid) -> Encoding[Tensor]:
         """Backbone, projection and first self-attention of one cloud."""
@@ -92,13 +119,10 @@ class HybridRegNet(nn.Module):
         gx, gy = source.pyramid.geometry, target.pyramid.geometry
         table = self.table()
         for i in range(self.config.blocks):
-            own, cross = self.self_layers[i], self.cross_layers[i]
-            assert isinstance(own, SelfLayer)
-            assert isinstance(cross, CrossLayer)
             if i:
-                x, y = own.both(x, y, table, gx, gy)
+                x, y = self.self_layers[i](x, table, gx), self.self_layers[i](y, table, gy)
             before = x, y
-            x, y = cross.both(x, y)
+            x, y = self.cross_layers[i](x, y)
         x_logits, y_logits = self.mask(*before)
         return SuperpointOutput(
             functional.normalize(self.output(x), dim=1),
@@ -123,67 +147,11 @@ class HybridRegNet(nn.Module):
             (P, K + 1, K + 1) log-probabilities, rows source, columns target; the last row and
             column are the dustbins; padded entries are `MASKED`.
         """
-        x, y = (
-            _rows(side.fine_features, tensor_of(side.pyramid.patch_index, pairs)[column])
-            for side, column in ((source, pairs[:, 0]), (target, pairs[:, 1]))
-        )
-        masks = (
-            tensor_of(side.pyramid.patch_mask, pairs)[column]
-            for side, column in ((source, pairs[:, 0]), (target, pairs[:, 1]))
-        )
-        scores = torch.bmm(x, y.transpose(1, 2)) / self.config.fine_dim**0.5
+        patches, masks = [], []
+        for side, rows in ((source, pairs[:, 0]), (target, pairs[:, 1])):
+            features = functional.pad(side.fine_features, (0, 0, 0, 1))  # of no point: zeros
+            patches.append(features[tensor_of(side.pyramid.patch_index, pairs)[rows]])
+            masks.append(tensor_of(side.pyramid.patch_mask, pairs)[rows])
+        scores = torch.bmm(patches[0], patches[1].transpose(1, 2)) / self.config.fine_dim**0.5
         found: Tensor = self.transport(scores, *masks)
         return found
-
-
-def _rows(features: Tensor, index: Tensor) -> Tensor:
-    """Rows of features (N, C) at index (P, K); index N gives zeros."""
-    padded = torch.cat([features, features.new_zeros(1, features.shape[1])])
-    return padded[index]
-
-
-class ReferenceNetwork:
-    """A `Network` of arrays that torch computes, on the device of its weights."""
-
-    def __init__(self, network: HybridRegNet) -> None:
-        self._network = network.eval()
-        self.dustbin = float(network.transport.dustbin.detach())
-
-    def encode(self, pyramid: Pyramid) -> Encoding[F32]:
-        """One cloud; what it keeps needs no operators."""
-        with torch.inference_mode():
-            found = self._network.encode(pyramid)
-        features = found.fine_features, found.superpoint_features
-        return Encoding(pyramid.encoded, *(_array(x) for x in features))
-
-    def correlate(self, source: Encoding[F32], target: Encoding[F32]) -> SuperpointOutput[F32]:
-        """Two clouds.
-
-        Raises:
-            RegistrationError: the encodings were made with different voxel sizes.
-        """
-        with torch.inference_mode():
-            sides = (
-                Encoding(
-                    e.pyramid, *(self._tensor(x) for x in (e.fine_features, e.superpoint_features))
-                )
-                for e in (source, target)
-            )
-            found = self._network.correlate(*sides)
-        return SuperpointOutput(*(_array(x) for x in vars(found).values()))
-
-    def static_logits(self, looks: F32, fine: F32, owners: Sequence[NDArray[np.int64]]) -> F32:
-        """What the static head says of every point."""
-        head = self._network.static
-        assert head is not None, 'these weights have no static head'
-        with torch.inference_mode():
-            inputs = self._tensor(looks), self._tensor(fine), [self._tensor(o) for o in owners]
-            return _array(head(*inputs))
-
-    def _tensor(self, values: NDArray[Any]) -> Tensor:
-        return tensor_of(values, self._network.project.weight)
-
-
-def _array(values: Tensor) -> F32:
-    found: F32 = values.cpu().numpy()
-    return found

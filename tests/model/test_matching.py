@@ -12,12 +12,8 @@ import torch
 from scipy.spatial.distance import cdist
 
 from hybridreg_ros.model.config import ModelConfig
+from hybridreg_ros.model.network.matching import gaussian_correlation, pair_weights, select_pairs
 from hybridreg_ros.model.network.output import SuperpointOutput
-from hybridreg_ros.model.network.superpoints import (
-    gaussian_correlation,
-    pair_weights,
-    select_pairs,
-)
 
 
 def _unit(rng: np.random.Generator, count: int, width: int) -> np.ndarray:
@@ -57,12 +53,18 @@ def test_selection_finds_the_same_features_and_obeys_the_mask(
     sigma2[:10] = 0.999
     config = ModelConfig(top_pairs=20, use_mask=use_mask)
     pairs = select_pairs(_coarse(x, x[order], sigma2, sigma2[order]), config)
-    assert (order[pairs.index[:, 1]] == pairs.index[:, 0]).all()
-    assert (pairs.scores[:-1] >= pairs.scores[1:]).all()
-    assert bool((pairs.index[:, 0] >= 10).all()) is use_mask
+    assert (order[pairs[:, 1]] == pairs[:, 0]).all()
+    assert bool((pairs[:, 0] >= 10).all()) is use_mask
+
+
+def test_the_best_pairs_come_first(rng: np.random.Generator) -> None:
+    x, y, none = _unit(rng, 12, 4), _unit(rng, 9, 4), np.zeros(12, np.float32)
+    pairs = select_pairs(_coarse(x, y, none, none[:9]), ModelConfig(top_pairs=30))
+    scores = gaussian_correlation(x, y, temperature=ModelConfig().pair_temperature)
+    np.testing.assert_array_equal(scores[tuple(pairs.T)], np.sort(scores.ravel())[::-1][:30])
 
 
 def test_fewer_superpoints_than_pairs(rng: np.random.Generator) -> None:
     x, none = _unit(rng, 3, 4), np.zeros(3, np.float32)
     pairs = select_pairs(_coarse(x, x[:2], none, none[:2]), ModelConfig())
-    assert pairs.index.shape == (6, 2)
+    assert pairs.shape == (6, 2)

@@ -44,7 +44,6 @@ class Checkpoint:
         weights: the same, packed for the compiled functions, float32.
         calibration: logistic model of the confidence.
         provenance: how the weights were made, plain values.
-        path: the file.
     """
 
     config: ModelConfig
@@ -52,7 +51,6 @@ class Checkpoint:
     weights: Weights
     calibration: PairCalibration
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    path: str = ''
 
     @cached_property
     def network(self) -> HybridRegNet:
@@ -120,7 +118,7 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
         weights = packed(config, parameters)
     except WeightsError as error:
         raise WeightsError(f'{path} does not fit its config: {error}') from None
-    return Checkpoint(config, parameters, weights, calibration, provenance, str(path))
+    return Checkpoint(config, parameters, weights, calibration, provenance)
 
 
 def packaged_weights() -> Path:

@@ -124,32 +124,26 @@ class HybridReg:
         Raises:
             RegistrationError: too few points, no extent, or coordinates that cannot be metres.
         """
-        start = time.perf_counter()
         cloud = _as_cloud(points)
         if voxel_size_m is None:
             voxel_size_m = self._voxel_m(cloud, budget=budget)
-        return compacted(self._encoded(cloud, float(voxel_size_m), start))
+        return compacted(self._encoded(cloud, float(voxel_size_m)))
 
-    def _encoded(
-        self, cloud: NDArray[np.float32], voxel_size_m: float, start: float
-    ) -> EncodedCloud:
-        """One cloud by itself; `start` is when it was begun."""
+    def _encoded(self, cloud: NDArray[np.float32], voxel_size_m: float) -> EncodedCloud:
+        """One cloud by itself."""
         pyramid = build_pyramid(cloud, voxel_size_m, self.config)
-        encoding, view = self.net.encode(pyramid), view_of(pyramid)
-        return EncodedCloud(encoding, view, cloud, time.perf_counter() - start)
+        return EncodedCloud(self.net.encode(pyramid), view_of(pyramid), cloud)
 
     def _encode_both(
         self, small: NDArray[np.float32], large: NDArray[np.float32], voxel_size_m: float
     ) -> tuple[EncodedCloud, EncodedCloud]:
         """Two clouds side by side; the thread of the small one makes the view of the large."""
-        start = time.perf_counter()
         with ThreadPoolExecutor(1) as beside:
             pyramid = beside.submit(build_pyramid, large, voxel_size_m, self.config)
             encoding = beside.submit(lambda: self.net.encode(pyramid.result()))
-            first = self._encoded(small, voxel_size_m, start)
+            first = self._encoded(small, voxel_size_m)
             view = view_of(pyramid.result())
-            known = encoding.result()
-        return first, EncodedCloud(known, view, large, time.perf_counter() - start)
+            return first, EncodedCloud(encoding.result(), view, large)
 
     def _voxel_m(self, *clouds: NDArray[np.float32], budget: Budget | None = None) -> float:
         """Finest voxel for clouds that nobody gave one for, metres."""

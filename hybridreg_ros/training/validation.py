@@ -160,7 +160,7 @@ def pair_score(model: HybridReg, held: HeldOut) -> PairScore:
     sample = held.sample
     began = time.perf_counter()
     source, target = (
-        EncodedCloud(model.net.encode(pyramid), view, points, 0.0)
+        EncodedCloud(model.net.encode(pyramid), view, points)
         for pyramid, view, points in zip(
             (sample.source, sample.target),
             held.views,

@@ -88,6 +88,8 @@ def test_compiled_twin_without_gradient_gives_the_same(scale: float) -> None:
     transport, scores = Transport(20), scale * torch.randn(3, 8, 10)
     with_gradient = transport(scores, rows, columns).detach()
     arrays = (x.numpy() for x in (scores, rows, columns))
-    compiled = torch.from_numpy(log_assignments(*arrays, float(transport.dustbin.detach()), 20, MASKED))
+    compiled = torch.from_numpy(
+        log_assignments(*arrays, float(transport.dustbin.detach()), 20, MASKED)
+    )
     assert torch.equal(compiled == MASKED, with_gradient == MASKED)
     torch.testing.assert_close(compiled.exp(), with_gradient.exp(), atol=1e-4, rtol=1e-4)

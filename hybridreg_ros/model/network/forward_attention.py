@@ -70,7 +70,7 @@ def _attended(scores: F32, power: I32, scale: F32) -> None:
 
 
 @compiled_fast
-def _add_geometry(scores: F32, table: F32, bins: Bins) -> None:
+def add_geometry(scores: F32, table: F32, bins: Bins) -> None:
     """Add the score of the distance and the mean of those of the angles, in place.
 
     Args:
@@ -183,7 +183,7 @@ def _mixed(
             if shared.shape[0]:
                 _add_largest_geometry(scores, asked, shared, bins)
             else:
-                _add_geometry(scores, asked, bins)
+                add_geometry(scores, asked, bins)
         _attended(scores, power, scale)
         out[:, low:high] = np.dot(scores, v)
 

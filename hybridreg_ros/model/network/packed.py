@@ -87,29 +87,25 @@ def packed(config: ModelConfig, parameters: Mapping[str, NDArray[Any]]) -> Weigh
         _pack(_static(read, config)) if config.static_width else None,
         float(read('transport.dustbin')),
     )
-    read.check_all_read()
+    if read.left:
+        names = ', '.join(sorted(read.left)[:2])
+        raise WeightsError(f'{len(read.left)} unknown parameters ({names})')
     return found
 
 
 class _Reader:
-    """Parameters by name and shape; none may be left over."""
+    """Parameters by name and shape; `left` are those that nobody has asked for yet."""
 
     def __init__(self, parameters: Mapping[str, NDArray[Any]]) -> None:
-        self._left = dict(parameters)
+        self.left = dict(parameters)
 
     def __call__(self, name: str, *shape: int) -> F32:
-        found = self._left.pop(name, None)
+        found = self.left.pop(name, None)
         if found is None:
             raise WeightsError(f'parameter {name} is missing')
         if found.shape != shape:
             raise WeightsError(f'{name} expected shape {shape}, found {found.shape}')
         return found.astype(np.float32)
-
-    def check_all_read(self) -> None:
-        """Raise WeightsError if there are parameters that nobody asked for."""
-        if self._left:
-            names = ', '.join(sorted(self._left)[:2])
-            raise WeightsError(f'{len(self._left)} unknown parameters ({names})')
 
     def linear(self, name: str, inputs: int, outputs: int) -> Iterator[F32]:
         """Weight (inputs, outputs) and bias."""

@@ -64,7 +64,6 @@ class Verified:
             other.
         agreement: share of the descriptor matches that agree.
         matched: number of descriptor matches that agree.
-        hypotheses: number of poses compared.
     """
 
     V_target_source: F64
@@ -73,7 +72,6 @@ class Verified:
     lead: float
     agreement: float
     matched: int
-    hypotheses: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,12 +81,10 @@ class Proposals:
     Attributes:
         poses: (B, 4, 4) transforms, voxels.
         rank: (B,) rough score of each, larger = better.
-        hypotheses: number of poses they come from.
     """
 
     poses: F64
     rank: F64
-    hypotheses: int
 
 
 def view_of(pyramid: Pyramid) -> View:
@@ -139,7 +135,6 @@ def _ranked(poses: F64, matches: Candidates, views: tuple[View, View]) -> Propos
     return Proposals(
         np.concatenate([poses, moved]),
         np.concatenate([rank, _rough_scores(moved, matches, (source, target))]),
-        len(poses),
     )
 
 
@@ -199,7 +194,6 @@ def verify(
         lead,
         float(matched / max(len(matches.weights), 1)),
         int(matched),
-        proposals.hypotheses + 1,
     )
 
 

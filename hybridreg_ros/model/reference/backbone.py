@@ -12,6 +12,7 @@ import torch
 from torch import nn
 
 from hybridreg_ros.core.jit import compiled
+from hybridreg_ros.model.network.forward_backbone import gather
 from hybridreg_ros.model.network.packed import middle_width
 from hybridreg_ros.model.reference.fused import group_norm_act, neighbour_max, tensor_of
 
@@ -36,12 +37,8 @@ def _weighted_rows(
     count: int,
 ) -> NDArray[np.float32]:
     """Rows `read` of x (·, C) times the weights, added up in rows `write` of (count, C)."""
-    channels = x.shape[1]
-    out = np.zeros((count, channels), np.float32)
-    for e in range(weights.shape[0]):
-        w, i, o = weights[e], read[e], write[e]
-        for c in range(channels):
-            out[o, c] += w * x[i, c]
+    out = np.empty((count, x.shape[1]), np.float32)
+    gather(x, (write, read, weights), 0, weights.shape[0], 0, out)
     return out
 
 

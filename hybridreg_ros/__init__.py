@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """HybridReg: registration of scenes with hybrid motion, and the odometry built on it.
 
-Importing this package is cheap: torch loads when a model is built.
+Importing this package is cheap, and only training loads torch.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ import torch
 from hybridreg_ros.cli.main import main as main_of_hybridreg
 from hybridreg_ros.core.config import load_yaml
 from hybridreg_ros.model.checkpoint import load_checkpoint, save_network
-from hybridreg_ros.model.network.uncertainty import MaskHead
+from hybridreg_ros.model.reference.network import MaskHead
 from hybridreg_ros.training.config import TrainConfig
 from hybridreg_ros.training.loop import train
 

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 
 from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.data.loaders.openers import open_pairs
@@ -80,7 +79,6 @@ def main() -> None:
     parser.add_argument('--pairs', type=int, default=300, help='of each folder')
     parser.add_argument('--keep', type=Path, default=Path('out/score'), help='folder of traces')
     args = parser.parse_args()
-    torch.set_num_threads(1)
     model = load_variant('no-mask' if args.no_mask else 'hybridreg', args.weights)
     in_use = UNMASKED_WEIGHTS if args.no_mask else WEIGHTS
     parts = [collect(model, d, args.pairs, args.keep / f'{d.name}.npz') for d in args.data]

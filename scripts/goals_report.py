@@ -192,20 +192,20 @@ def confidence_rows(
 def cost_rows(bench: dict[str, Any] | None) -> list[Row]:
     """Time, memory, size."""
     path = packaged_weights()
-    count = sum(p.numel() for p in load_checkpoint(path).network.parameters())
+    count = sum(p.size for p in load_checkpoint(path).parameters.values())
     rows = [
         Row('parameters, million', count / 1e6, 4, 2, '', False, 2),
         Row('weights file, MB', path.stat().st_size / 1e6, 12, 4, '', False),
     ]
     if bench:
         rounds = len(bench['wall_s']['register'])
-        note = f'{bench["threads"]} torch thread(s), turn by turn, median of {rounds}'
+        note = f'{bench["threads"]} thread(s), turn by turn, median of {rounds}'
         rows.append(
             Row(
                 'time over KISS-Matcher', bench['ratio']['kiss-matcher'], 0.4, 0.15, note, False, 2
             )
         )
-        rows.append(Row('memory over torch, MB', bench['memory_mb'], 300, 150, '', False, 0))
+        rows.append(Row('memory of register(), MB', bench['memory_mb'], 300, 150, '', False, 0))
     return rows
 
 

@@ -371,9 +371,6 @@ def main() -> None:
     parser.add_argument('--json', type=Path, help='also write the counts here')
     parser.add_argument('--pictures', type=Path, help='also draw a frame of each, for lidars')
     args = parser.parse_args()
-    import torch
-
-    torch.set_num_threads(1)
     rows: list[Row] = []
     for group, name, shown in sources(args.data, args.only):
         rows += measured(group, name, shown, not args.no_dufomap, args.pictures)

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """CPU time of encoding a scan and matching it with a kept keyframe, at full size and at a budget.
 
-    OMP_NUM_THREADS=1 python scripts/network_speed.py SCAN KEYFRAME --rounds 30
+    OPENBLAS_NUM_THREADS=1 python scripts/network_speed.py SCAN KEYFRAME --rounds 30
 
 Prints, for both sizes, the points of every level and the CPU milliseconds of all threads (median,
 and in brackets the smallest, which other work on the machine disturbs least).
@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
 from hybridreg_ros.data.loaders.clouds import read_cloud
 from hybridreg_ros.model.budget import Budget, voxel_size_m
@@ -44,7 +43,6 @@ def main() -> None:
     p.add_argument('keyframe', type=Path, help='cloud file')
     p.add_argument('--rounds', type=int, default=30)
     args = p.parse_args()
-    torch.set_num_threads(1)
     model = HybridReg.from_pretrained()
     scan, other = (np.asarray(read_cloud(f), np.float32) for f in (args.scan, args.keyframe))
     for name, budget in (('full size', None), ('budget', Budget())):

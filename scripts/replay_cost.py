@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import itertools
-import resource
 import tempfile
 import time
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hybridreg_ros.core.pages import peak_mb, resident_mb
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.result import OdometryResult, Reason, Source
 from hybridreg_ros.replay import outputs, runner
@@ -68,13 +68,15 @@ class Standing:
 
 
 def repeated(bag: Path, count: int) -> Iterator[CloudFrame]:
-    """Clouds of a bag, over and over, with rising stamps."""
-    with open_bag(bag) as opened:
-        frames = [f for f in opened.frames() if f.scan is not None]
-    for k, frame in zip(range(count), itertools.cycle(frames), strict=False):
-        assert frame.scan is not None
-        scan = dataclasses.replace(frame.scan, stamp=GAP_NS * (k + 1))
-        yield frame._replace(stamp=scan.stamp, scan=scan)
+    """Clouds of a bag, read over and over, with rising stamps."""
+    k = 0
+    while k < count:
+        with open_bag(bag) as opened:
+            for frame in itertools.islice(opened.frames(), count - k):
+                if frame.scan is not None:
+                    k += 1
+                    scan = dataclasses.replace(frame.scan, stamp=GAP_NS * k)
+                    yield frame._replace(stamp=scan.stamp, scan=scan)
 
 
 def main() -> None:
@@ -102,8 +104,7 @@ def main() -> None:
     everything: tuple[runner.Sink, ...] = (SceneSink(), Album(100))
     for count in (args.frames // 10, args.frames):
         log = runner.run(repeated(args.bag, count), Standing(), everything)
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        print(f'{len(log.frames)} frames: peak of {peak:.0f} MiB')
+        print(f'{len(log.frames)} frames: {resident_mb():.0f} MB, at most {peak_mb():.0f} MB')
 
 
 if __name__ == '__main__':

@@ -33,7 +33,7 @@ from hybridreg_ros.metrics.registration import roc_auc
 from hybridreg_ros.model.budget import voxel_size_m
 from hybridreg_ros.model.checkpoint import load_checkpoint, packaged_weights, save_network
 from hybridreg_ros.model.geometry.sight import magnitude
-from hybridreg_ros.model.network.network import HybridRegNet
+from hybridreg_ros.model.reference.network import HybridRegNet
 from hybridreg_ros.model.register import HybridReg
 from hybridreg_ros.model.static_points import HeadInput, head_input
 from hybridreg_ros.training.augment import augment
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.data.pair import PointPair
-    from hybridreg_ros.model.network.static_head import StaticHead
+    from hybridreg_ros.model.reference.static_head import StaticHead
 
     F32 = NDArray[np.float32]
     Rng = np.random.Generator

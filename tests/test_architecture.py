@@ -59,7 +59,7 @@ HOMES = {
     'rosbags': ('replay/bag_',),
     'mcap': ('replay/bag_',),
     'kiss_icp': ('odometry/registration/kiss.py', 'benchmark/pipelines.py'),
-    'torch': ('model/', 'training/', 'cli/', 'benchmark/'),
+    'torch': ('model/reference/', 'training/'),
     'embreex': ('data/meshes/raycast.py',),
     'evo': ('metrics/trajectory.py',),
 }

@@ -4,14 +4,13 @@
 
 from __future__ import annotations
 
-import resource
-import sys
 import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from hybridreg_ros.core import provenance
 from hybridreg_ros.core.errors import HybridRegError
+from hybridreg_ros.core.pages import peak_mb
 from hybridreg_ros.core.progress import progress
 from hybridreg_ros.data.hybridmatch.room_pairs import SCENES, SPLITS, TRAIN, make_samples
 from hybridreg_ros.data.hybridmatch.splits_work import Block, make_block
@@ -101,7 +100,6 @@ def cost_of(split: str, pairs: int) -> DataCost:
             break
     else:
         raise HybridRegError(f'{split}: {_MOST_SCENES} scenes gave {made} of {pairs} pairs')
-    unit = 1e6 if sys.platform == 'darwin' else 1e3
     return DataCost(
         split,
         made,
@@ -110,5 +108,5 @@ def cost_of(split: str, pairs: int) -> DataCost:
         (CLOCK.seconds - cast) / made,
         (CLOCK.rays - rays) // made,
         size / made / 1e3,
-        resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit,
+        peak_mb(),
     )

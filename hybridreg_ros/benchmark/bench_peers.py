@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import resource
 import statistics
 import time
 from functools import partial
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hybridreg_ros.core.pages import peak_mb
 from hybridreg_ros.core.progress import progress
 from hybridreg_ros.replay.page.tables import text_table
 
@@ -21,21 +21,20 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hybridreg_ros.model.register import HybridReg
+
     Cloud = NDArray[np.float32]
 
 
 def run(args: argparse.Namespace, source: Cloud, target: Cloud) -> tuple[str, dict[str, Any]]:
     """Measure in turns, so that a busy machine is busy for all; text to print, and figures."""
-    import torch
-
-    torch.set_num_threads(args.threads)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    before_mb = peak_mb()
     from hybridreg_ros.model.geometry.voxel_size import choose_voxel_size_m
     from hybridreg_ros.model.register import HybridReg
 
     model = HybridReg.from_pretrained(args.weights)
     result = model.register(source, target)
-    memory_mb = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1e3
+    memory_mb = peak_mb() - before_mb
     peers_m = choose_voxel_size_m(source, target)
     methods = _methods(model, source, target, peers_m)
     wall: dict[str, list[float]] = {name: [] for name in methods}
@@ -66,7 +65,7 @@ def run(args: argparse.Namespace, source: Cloud, target: Cloud) -> tuple[str, di
     text = (
         f'{len(source)} + {len(target)} points, voxel {result.voxel_size_m:g} m, '
         f'of the others {peers_m:g} m\n{text_table(rows)}\n'
-        f'memory of one registration: {memory_mb:.0f} MB over the import of torch'
+        f'memory of one registration: {memory_mb:.0f} MB over what the command holds before'
     )
     return text, (
         {
@@ -82,14 +81,12 @@ def run(args: argparse.Namespace, source: Cloud, target: Cloud) -> tuple[str, di
 
 
 def _methods(
-    model: object, source: Cloud, target: Cloud, voxel_size_m: float
+    model: HybridReg, source: Cloud, target: Cloud, voxel_size_m: float
 ) -> dict[str, Callable[[], object]]:
     """What is measured; every one starts from the bare clouds."""
-    from hybridreg_ros.model.register import HybridReg
     from hybridreg_ros.training.baselines import METHODS
     from hybridreg_ros.training.evaluate import static_pair
 
-    assert isinstance(model, HybridReg)
     pair = static_pair(source, target, np.eye(4), 1.0, 'bench', voxel_size_m)
     return {
         'register': lambda: model.register(source, target),

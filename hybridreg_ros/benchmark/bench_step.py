@@ -40,9 +40,6 @@ def run(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
         ConfigError: no such sequence.
         FileFormatError: its recording is not there.
     """
-    import torch
-
-    torch.set_num_threads(args.threads)
     figures = {}
     for sequence in chosen('real', args.step or USUAL):
         frames = suite_data.load(sequence, args.recordings, args.recordings)

@@ -568,7 +568,7 @@ def _bench(commands: Commands) -> None:
         type=_number(int, 1, 256),
         default=1,
         metavar='N',
-        help='number of threads (default 1)',
+        help='number of threads of a matrix product (default 1)',
     )
     p.add_argument(
         '--peers',

@@ -4,15 +4,14 @@
 
 from __future__ import annotations
 
-import resource
 import statistics
-import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hybridreg_ros.cli.common import told, write_result
-from hybridreg_ros.core.errors import ConfigError, WeightsError
+from hybridreg_ros.core.errors import ConfigError
+from hybridreg_ros.core.pages import peak_mb
 from hybridreg_ros.core.progress import progress
 from hybridreg_ros.core.scan import NS_PER_S, Scan
 from hybridreg_ros.replay.page.tables import text_table
@@ -39,18 +38,15 @@ def run(args: argparse.Namespace) -> int:
         from hybridreg_ros.benchmark import bench_step
 
         return told(args, *bench_step.run(args))
-    import torch
-
     source, target = _clouds(args)
     if args.peers:
         from hybridreg_ros.benchmark import bench_peers
 
         return told(args, *bench_peers.run(args, source, target))
-    torch.set_num_threads(args.threads)
-    rest = _peak_mb()
+    rest = peak_mb()
     stages: dict[str, dict[str, list[float]]] = {}
     weights = _register(args, source, target, stages)
-    after_register = _peak_mb()
+    after_register = peak_mb()
     _step(args, source, target, stages)
     rows = [['stage', 'median ms', 'fastest ms', 'slowest ms']]
     for part, laps in stages.items():
@@ -61,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     print(f'{len(source)} + {len(target)} points, {args.threads} threads, weights: {weights}')
     print(text_table(rows))
     print(f'peak memory      {rest:.0f} MB before, {after_register:.0f} MB after register(), ')
-    print(f'                 {_peak_mb():.0f} MB at the end')
+    print(f'                 {peak_mb():.0f} MB at the end')
     write_result(
         args,
         {
@@ -69,16 +65,10 @@ def run(args: argparse.Namespace) -> int:
             'threads': args.threads,
             'weights': weights,
             'stages_s': stages,
-            'peak_mb': {'before': rest, 'register': after_register, 'end': _peak_mb()},
+            'peak_mb': {'before': rest, 'register': after_register, 'end': peak_mb()},
         },
     )
     return 0
-
-
-def _peak_mb() -> float:
-    """Largest resident memory of this process so far."""
-    unit = 1e6 if sys.platform == 'darwin' else 1e3
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
 
 
 def _clouds(args: argparse.Namespace) -> tuple[Cloud, Cloud]:
@@ -108,18 +98,11 @@ def _register(
     stages: dict[str, dict[str, list[float]]],
 ) -> str:
     """Time register(); returns which weights were used."""
-    from hybridreg_ros.model.config import ModelConfig
     from hybridreg_ros.model.register import HybridReg
 
-    try:
-        model = HybridReg.from_pretrained(args.weights)
-        weights = str(args.weights or 'packaged')
-    except WeightsError:
-        if args.weights is not None:
-            raise
-        model, weights = HybridReg(ModelConfig()), 'none packaged: random (times are valid)'
+    model = HybridReg.from_pretrained(args.weights)
     _measure(args, 'register', lambda: model.register(source, target).timings_s, stages)
-    return weights
+    return str(args.weights or 'packaged')
 
 
 def _step(

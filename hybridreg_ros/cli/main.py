@@ -46,7 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     try:
         # Threads on numpy's small matrices cost a quarter of a registration; before numpy loads.
-        os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+        os.environ.setdefault('OPENBLAS_NUM_THREADS', str(getattr(args, 'threads', 1)))
         body = importlib.import_module(f'hybridreg_ros.cli.{args.body}')
         args.stdout = sys.stdout
         with contextlib.redirect_stdout(sys.stderr if str(args.json) == '-' else sys.stdout):

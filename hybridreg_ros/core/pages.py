@@ -49,3 +49,8 @@ def resident_mb() -> float:
     """Resident memory of this process, MB (10^6 bytes; Linux)."""
     pages = int(Path('/proc/self/statm').read_text('ascii').split()[1])
     return pages * resource.getpagesize() / 1e6
+
+
+def peak_mb() -> float:
+    """Largest resident memory of this process so far, MB (10^6 bytes; Linux)."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6

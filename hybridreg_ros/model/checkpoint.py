@@ -9,21 +9,26 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import torch
+import numpy as np
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.numpy import save_file
 
 from hybridreg_ros.core.config import from_dict, to_dict
 from hybridreg_ros.core.errors import ConfigError, WeightsError
 from hybridreg_ros.model.config import ModelConfig
-from hybridreg_ros.model.network.network import HybridRegNet
+from hybridreg_ros.model.network.packed import Weights, packed
 from hybridreg_ros.model.pose.confidence import PairCalibration
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from hybridreg_ros.model.reference.network import HybridRegNet
 
 FORMAT = 'hybridreg-weights-1'
 _PICKLE_STARTS = (b'PK\x03\x04', b'\x80')
@@ -31,19 +36,28 @@ _PICKLE_STARTS = (b'PK\x03\x04', b'\x80')
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """A network and what its file says about it.
+    """The weights of a network and what their file says about them.
 
     Attributes:
-        network: in evaluation mode, on the CPU, float32.
+        config: sizes of the network.
+        parameters: by name, as they are stored.
+        weights: the same, packed for the compiled functions, float32.
         calibration: logistic model of the confidence.
         provenance: how the weights were made, plain values.
-        path: the file.
     """
 
-    network: HybridRegNet
+    config: ModelConfig
+    parameters: Mapping[str, NDArray[Any]]
+    weights: Weights
     calibration: PairCalibration
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    path: str = ''
+
+    @cached_property
+    def network(self) -> HybridRegNet:
+        """The network as a torch module, in evaluation mode, on the CPU, float32."""
+        from hybridreg_ros.model.reference.network import HybridRegNet
+
+        return HybridRegNet.of(self.config, self.parameters)
 
 
 def save_network(
@@ -65,8 +79,8 @@ def save_network(
     Raises:
         WeightsError: the file cannot be written.
     """
-    kind = torch.float16 if half else torch.float32
-    tensors = {k: v.detach().cpu().to(kind) for k, v in network.state_dict().items()}
+    kind = np.float16 if half else np.float32
+    parameters = {k: v.astype(kind) for k, v in network.parameters_by_name().items()}
     metadata = {
         'format': FORMAT,
         'config': json.dumps(to_dict(network.config)),
@@ -74,18 +88,9 @@ def save_network(
         'provenance': json.dumps(dict(provenance)),
     }
     try:
-        save_file({k: v.contiguous() for k, v in tensors.items()}, str(path), metadata)
+        save_file(parameters, str(path), metadata)
     except (OSError, SafetensorError) as error:
         raise WeightsError(f'cannot write weights to {path}: {_one_line(error)}') from None
-
-
-def load_network(path: str | Path) -> HybridRegNet:
-    """The network of a weights file, in evaluation mode.
-
-    Raises:
-        WeightsError: see `load_checkpoint`.
-    """
-    return load_checkpoint(path).network
 
 
 def load_checkpoint(path: str | Path) -> Checkpoint:
@@ -94,7 +99,7 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
     Raises:
         WeightsError: the file is missing, truncated, a pickle, not ours, or does not fit.
     """
-    metadata, tensors = _read(Path(path))
+    metadata, parameters = _read(Path(path))
     if metadata.get('format') != FORMAT:
         raise WeightsError(
             f'{path} is a safetensors file without HybridReg metadata: expected format '
@@ -109,10 +114,11 @@ def load_checkpoint(path: str | Path) -> Checkpoint:
         provenance = json.loads(metadata['provenance'])
     except (KeyError, ValueError, ConfigError) as error:
         raise WeightsError(f'{path} has unreadable metadata: {_one_line(error)}') from None
-    network = HybridRegNet(config)
-    _check_shapes(path, network.state_dict(), tensors)
-    network.load_state_dict({k: v.float() for k, v in tensors.items()}, strict=True)
-    return Checkpoint(network.eval(), calibration, provenance, str(path))
+    try:
+        weights = packed(config, parameters)
+    except WeightsError as error:
+        raise WeightsError(f'{path} does not fit its config: {error}') from None
+    return Checkpoint(config, parameters, weights, calibration, provenance)
 
 
 def packaged_weights() -> Path:
@@ -134,8 +140,8 @@ def packaged_weights() -> Path:
     return found[0]
 
 
-def _read(path: Path) -> tuple[dict[str, str], dict[str, torch.Tensor]]:
-    """Metadata and tensors of a safetensors file."""
+def _read(path: Path) -> tuple[dict[str, str], dict[str, NDArray[Any]]]:
+    """Metadata and arrays of a safetensors file."""
     try:
         with open(path, 'rb') as stream:
             start = stream.read(9)
@@ -148,32 +154,14 @@ def _read(path: Path) -> tuple[dict[str, str], dict[str, torch.Tensor]]:
             'code: expected a .safetensors file'
         )
     try:
-        with safe_open(str(path), framework='pt') as file:
+        with safe_open(str(path), framework='numpy') as file:
             metadata = dict(file.metadata() or {})
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+            arrays = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError) as error:
         raise WeightsError(
             f'{path} is truncated or not a safetensors file: {_one_line(error)}'
         ) from None
-    return metadata, tensors
-
-
-def _check_shapes(
-    path: str | Path, expected: Mapping[str, torch.Tensor], found: Mapping[str, torch.Tensor]
-) -> None:
-    """Raise the first difference between the parameters of a network and of a file."""
-    missing, extra = sorted(expected.keys() - found.keys()), sorted(found.keys() - expected.keys())
-    if missing or extra:
-        raise WeightsError(
-            f'{path} does not fit its config: {len(missing)} parameters missing '
-            f'({", ".join(missing[:2])}), {len(extra)} unknown ({", ".join(extra[:2])})'
-        )
-    for name, tensor in expected.items():
-        if tensor.shape != found[name].shape:
-            raise WeightsError(
-                f'{path} does not fit its config: {name} expected shape {tuple(tensor.shape)}, '
-                f'found {tuple(found[name].shape)}'
-            )
+    return metadata, arrays
 
 
 def _one_line(error: Exception) -> str:

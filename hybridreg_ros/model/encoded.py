@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.model.geometry.views import View
-    from hybridreg_ros.model.network.network import Encoding
+    from hybridreg_ros.model.network.output import Encoding
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,13 +26,11 @@ class EncodedCloud:
         encoding: what the network keeps of it.
         view: what verification and refinement keep of it.
         points: (N, 3) float32 input points, metres, NaN rows included.
-        encode_s: seconds it took.
     """
 
-    encoding: Encoding
+    encoding: Encoding[NDArray[np.float32]]
     view: View
     points: NDArray[np.float32]
-    encode_s: float
 
     @cached_property
     def sight(self) -> Sight:

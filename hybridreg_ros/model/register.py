@@ -22,9 +22,10 @@ from hybridreg_ros.model.compact_memory import compacted
 from hybridreg_ros.model.encoded import EncodedCloud
 from hybridreg_ros.model.geometry.pyramid import build_pyramid, metric_transform, voxel_transform
 from hybridreg_ros.model.geometry.upsampling import values_of_inputs
-from hybridreg_ros.model.network import forward
 from hybridreg_ros.model.network.estimators import judged
-from hybridreg_ros.model.network.network import HybridRegNet
+from hybridreg_ros.model.network.forward import Network
+from hybridreg_ros.model.network.matching import match
+from hybridreg_ros.model.network.output import check_voxels
 from hybridreg_ros.model.pose.confidence import PairCalibration, features_of
 from hybridreg_ros.model.pose.evidence import evidence_of, trusted_fit
 from hybridreg_ros.model.pose.posterior import posterior_sigma2
@@ -49,12 +50,12 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from hybridreg_ros.model.config import ModelConfig
-    from hybridreg_ros.model.geometry.pyramid import Pyramid
     from hybridreg_ros.model.network.estimators import PoseEstimate
-    from hybridreg_ros.model.network.network import Encoding, MatchOutput
+    from hybridreg_ros.model.network.matching import MatchOutput
     from hybridreg_ros.model.pose.evidence import CloudEvidence
     from hybridreg_ros.model.pose.refine import Refinement
     from hybridreg_ros.model.pose.verify import Verified
+    from hybridreg_ros.model.reference.network import HybridRegNet
 
     Encoded = tuple[EncodedCloud, EncodedCloud]
     F64 = NDArray[np.float64]
@@ -75,18 +76,18 @@ class HybridReg:
     def __init__(
         self,
         config: ModelConfig,
-        net: HybridRegNet | None = None,
+        net: Network | HybridRegNet,
         calibration: PairCalibration | None = None,
     ) -> None:
-        """Wrap a network; without `net` one with random weights is made (tests, training).
+        """Wrap a network.
 
         Args:
-            config: sizes; must be that of `net`.
-            net: network, put into evaluation mode.
+            config: sizes, those of `net`, and how it is used.
+            net: network; of a torch module its weights of now are taken.
             calibration: of the confidence.
         """
         self.config = config
-        self.net = (HybridRegNet(config) if net is None else net).eval()
+        self.net = net if isinstance(net, Network) else net.for_use()
         self.calibration = calibration or PairCalibration()
         self.provenance: Mapping[str, object] = {}
 
@@ -97,9 +98,9 @@ class HybridReg:
         Raises:
             WeightsError: missing, truncated, foreign or unfit weights, or none packaged yet.
         """
-        checkpoint = load_checkpoint(packaged_weights() if path is None else path)
-        model = cls(checkpoint.network.config, checkpoint.network, checkpoint.calibration)
-        model.provenance = checkpoint.provenance
+        found = load_checkpoint(packaged_weights() if path is None else path)
+        model = cls(found.config, Network(found.config, found.weights), found.calibration)
+        model.provenance = found.provenance
         return model
 
     def sequence(self, budget: Budget | None = None) -> SensorSequence:
@@ -123,35 +124,26 @@ class HybridReg:
         Raises:
             RegistrationError: too few points, no extent, or coordinates that cannot be metres.
         """
-        start = time.perf_counter()
         cloud = _as_cloud(points)
         if voxel_size_m is None:
             voxel_size_m = self._voxel_m(cloud, budget=budget)
-        return compacted(self._encoded(cloud, float(voxel_size_m), start))
+        return compacted(self._encoded(cloud, float(voxel_size_m)))
 
-    def _encoded(
-        self, cloud: NDArray[np.float32], voxel_size_m: float, start: float
-    ) -> EncodedCloud:
-        """One cloud by itself; `start` is when it was begun."""
+    def _encoded(self, cloud: NDArray[np.float32], voxel_size_m: float) -> EncodedCloud:
+        """One cloud by itself."""
         pyramid = build_pyramid(cloud, voxel_size_m, self.config)
-        encoding, view = self._encoding(pyramid), view_of(pyramid)
-        return EncodedCloud(encoding, view, cloud, time.perf_counter() - start)
-
-    def _encoding(self, pyramid: Pyramid) -> Encoding:
-        return dataclasses.replace(forward.encode(self.net, pyramid), pyramid=pyramid.encoded)
+        return EncodedCloud(self.net.encode(pyramid), view_of(pyramid), cloud)
 
     def _encode_both(
         self, small: NDArray[np.float32], large: NDArray[np.float32], voxel_size_m: float
     ) -> tuple[EncodedCloud, EncodedCloud]:
         """Two clouds side by side; the thread of the small one makes the view of the large."""
-        start = time.perf_counter()
         with ThreadPoolExecutor(1) as beside:
             pyramid = beside.submit(build_pyramid, large, voxel_size_m, self.config)
-            encoding = beside.submit(lambda: self._encoding(pyramid.result()))
-            first = self._encoded(small, voxel_size_m, start)
+            encoding = beside.submit(lambda: self.net.encode(pyramid.result()))
+            first = self._encoded(small, voxel_size_m)
             view = view_of(pyramid.result())
-            known = encoding.result()
-        return first, EncodedCloud(known, view, large, time.perf_counter() - start)
+            return first, EncodedCloud(encoding.result(), view, large)
 
     def _voxel_m(self, *clouds: NDArray[np.float32], budget: Budget | None = None) -> float:
         """Finest voxel for clouds that nobody gave one for, metres."""
@@ -184,7 +176,7 @@ class HybridReg:
             voxel = self._voxel_m(*clouds, budget=budget)
         first, encoded = self._attempt(*clouds, voxel)
         best = self.retry(first, encoded, *clouds, finer_m=full if full < voxel else None)
-        if self.net.static is None:
+        if not self.config.static_width:
             return best
         source_mask = self.point_mask(*encoded, best.T_target_source)
         target_mask = self.point_mask(*encoded[::-1], se3.inverse(best.T_target_source))
@@ -212,9 +204,9 @@ class HybridReg:
             RegistrationError: they were encoded with different voxel sizes.
             WeightsError: these weights have no static head.
         """
-        if self.net.static is None:
+        if not self.config.static_width:
             raise WeightsError('these weights have no static head: use the packaged ones')
-        self.net.check_voxels(source.encoding, target.encoding)
+        check_voxels(source.encoding, target.encoding)
         return point_mask(self.net, source, target, np.asarray(T_target_source, np.float64), most)
 
     def retry(
@@ -284,9 +276,9 @@ class HybridReg:
         start = time.perf_counter()
         views = source.view, target.view
         with ThreadPoolExecutor(1) as beside:
-            proposed = beside.submit(proposals_of, source, target) if self._verifies else None
-            coarse = forward.correlate(self.net, source.encoding, target.encoding)
-            found = self.net.match(source.encoding, target.encoding, coarse)
+            verifies = self.config.estimator == 'verified'
+            proposed = beside.submit(proposals_of, source, target) if verifies else None
+            found = self.matches(source, target)
             middle = time.perf_counter()
             evidence = beside.submit(evidence_of, source, target, found)
             estimate, verified = found.estimate, None
@@ -315,9 +307,14 @@ class HybridReg:
         }
         return dataclasses.replace(result, timings_s=timings)
 
-    @property
-    def _verifies(self) -> bool:
-        return self.config.estimator == 'verified'
+    def matches(self, source: EncodedCloud, target: EncodedCloud) -> MatchOutput:
+        """What the network alone says of two encoded clouds: point matches, their pose, the mask.
+
+        Raises:
+            RegistrationError: they were encoded with different voxel sizes.
+        """
+        a, b = source.encoding, target.encoding
+        return match(a, b, self.net.correlate(a, b), self.net.dustbin, self.config)
 
     def _result(
         self,

@@ -8,18 +8,18 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import torch
-from torch.nn import functional
 
 from hybridreg_ros.core.jit import compiled, compiled_fast
 from hybridreg_ros.model.geometry.sight import COUNT, looks
+from hybridreg_ros.model.network.forward_attention import unit_rows
+from hybridreg_ros.model.network.output import sigmoid
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.model.encoded import EncodedCloud
     from hybridreg_ros.model.geometry.pyramid import Pyramid
-    from hybridreg_ros.model.network.network import HybridRegNet
+    from hybridreg_ros.model.network.forward import Network
 
     F32 = NDArray[np.float32]
     F64 = NDArray[np.float64]
@@ -79,10 +79,7 @@ def head_input(
     seen, nearest = looks(own, target.sight, T_target_source)
     if most == 0:
         seen, nearest = seen[rows], nearest[rows]
-    fine, others = (
-        functional.normalize(c.encoding.fine_features, dim=1).cpu().numpy()
-        for c in (source, target)
-    )
+    fine, others = (unit_rows(c.encoding.fine_features) for c in (source, target))
     holder, other = _fine_points(pyramid)[rows], _fine_points(target.encoding.pyramid)
     seen[:, COUNT] = np.log(pyramid.voxel_size_m)
     _likeness(fine, holder, others, other, nearest, seen[:, COUNT + 1])
@@ -117,7 +114,7 @@ def _speakers(owner: I64, voxels: int, most: int) -> tuple[I64, I64]:
 
 def _owners(pyramid: Pyramid) -> list[I64]:
     """The finest voxel of every input point (-1: none), then of every voxel the one above it."""
-    above = [v.up_index.cpu().numpy() for v in pyramid.levels if v.up_index is not None]
+    above = [v.up_index for v in pyramid.levels if v.up_index is not None]
     return [pyramid.input_to_level0.astype(np.int64), *above]
 
 
@@ -142,21 +139,15 @@ def _likeness(fine: F32, holder: I64, others: F32, other: I64, nearest: I32, out
         out[i] = total
 
 
-@torch.no_grad()
 def point_mask(
-    net: HybridRegNet,
+    net: Network,
     source: EncodedCloud,
     target: EncodedCloud,
     T_target_source: F64,
     most: int = 0,
 ) -> PointMask:
     """What the static head of a network says of the source; arguments as of `head_input`."""
-    assert net.static is not None
     found = head_input(source, target, T_target_source, most)
-    device = next(net.parameters()).device
-    looks_, fine, *owners = (
-        torch.from_numpy(a).to(device) for a in (found.looks, found.fine, *found.owners)
-    )
-    said = torch.sigmoid(net.static(looks_, fine, owners)).cpu().numpy().T
+    said = sigmoid(net.static_logits(found.looks, found.fine, found.owners)).T
     out = np.where(found.answer >= 0, said[:, found.answer], np.float32(UNKNOWN))
     return PointMask(*out)

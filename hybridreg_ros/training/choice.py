@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from scipy.optimize import minimize
 
 from hybridreg_ros.metrics import registration
@@ -55,8 +54,7 @@ def contest(model: HybridReg, pair: PointPair) -> Contest:
     """
     voxel_m = model.config.voxel_factor * pair.voxel_size_m
     source, target = model.encode(pair.source, voxel_m), model.encode(pair.target, voxel_m)
-    with torch.no_grad():
-        found = model.net.match(source.encoding, target.encoding)
+    found = model.matches(source, target)
     matches, proposals = proposals_of(source, target)
     views = source.view, target.view
     poses = finalists(proposals, found.estimate.V_target_source, matches, views)

@@ -20,9 +20,9 @@ from torch import nn
 
 from hybridreg_ros.core.config import dump_yaml, to_dict
 from hybridreg_ros.core.errors import WeightsError
-from hybridreg_ros.model.checkpoint import load_network, save_network
+from hybridreg_ros.model.checkpoint import load_checkpoint, save_network
 from hybridreg_ros.model.config import ModelConfig
-from hybridreg_ros.model.network.network import HybridRegNet
+from hybridreg_ros.model.reference.network import HybridRegNet
 from hybridreg_ros.training import optim
 from hybridreg_ros.training.generator import Generator
 from hybridreg_ros.training.samples import SampleStream, loader, to_device
@@ -242,7 +242,7 @@ class Run:
 def _network(config: TrainConfig) -> HybridRegNet:
     """A fresh network of the profile, or one with given weights."""
     if config.start_weights:
-        return load_network(config.start_weights)
+        return load_checkpoint(config.start_weights).network
     return HybridRegNet(ModelConfig.profile(config.profile))
 
 

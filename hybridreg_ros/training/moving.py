@@ -8,15 +8,13 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
-from scipy.spatial import cKDTree
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.data.pair import Label
 from hybridreg_ros.metrics import registration
 from hybridreg_ros.model.budget import voxel_size_m
 from hybridreg_ros.model.geometry.upsampling import upsample_to_level0, values_of_inputs
-from hybridreg_ros.training.validation import MATCH_VOXELS, overlap_points, threshold_m
+from hybridreg_ros.training.validation import MATCH_VOXELS, meets, overlap_points, threshold_m
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -195,7 +193,7 @@ def score_moving(
             'network': _network_uncertainty(model, source, target),
             'result': (result.source_uncertainty, result.target_uncertainty),
         }
-        if model.net.static is not None:
+        if model.config.static_width:
             own = model.point_mask(source, target, result.T_target_source)
             other = model.point_mask(target, source, se3.inverse(result.T_target_source))
             said['static'] = (1.0 - own.static, 1.0 - other.static)
@@ -220,25 +218,18 @@ def _seen(pair: PointPair) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     moved = se3.apply(pair.T_target_source, pair.source)
     own, other = pair.source_label == Label.STATIC, pair.target_label == Label.STATIC
     radius = MATCH_VOXELS * pair.voxel_size_m
-    found = []
-    for points, others in ((moved, pair.target[other]), (pair.target, moved[own])):
-        distance, _ = cKDTree(others, balanced_tree=False).query(
-            points, distance_upper_bound=radius
-        )
-        found.append(np.isfinite(distance))
-    return found[0], found[1]
+    return meets(moved, pair.target[other], radius), meets(pair.target, moved[own], radius)
 
 
 def _network_uncertainty(
     model: HybridReg, source: EncodedCloud, target: EncodedCloud
 ) -> tuple[F32, F32]:
     """The network's sigma2 of every input point of both clouds, (N,) and (M,)."""
-    with torch.inference_mode():
-        coarse = model.net.correlate(source.encoding, target.encoding)
+    coarse = model.net.correlate(source.encoding, target.encoding)
     found = []
     for cloud, sigma2 in ((source, coarse.source_sigma2), (target, coarse.target_sigma2)):
         pyramid = cloud.encoding.pyramid
-        spread = upsample_to_level0(pyramid, sigma2.cpu().numpy())
+        spread = upsample_to_level0(pyramid, sigma2)
         found.append(values_of_inputs(pyramid, spread))
     return found[0], found[1]
 

@@ -55,7 +55,7 @@ class Sample:
         pair: the (augmented) pair; point arrays are empty when only learning needs it.
         source: pyramid of the source.
         target: pyramid of the target.
-        labels: what is right; its arrays are torch tensors of the same shapes.
+        labels: what is right.
     """
 
     pair: PointPair
@@ -98,7 +98,7 @@ def prepare(
         max_pairs=loss.max_patch_pairs,
         max_anchors=loss.max_anchors if loss.descriptor_weight > 0.0 else 0,
     )
-    return Sample(pair, source, target, _as_tensors(labels))
+    return Sample(pair, source, target, labels)
 
 
 def patches_of(pyramid: Pyramid, label: NDArray[np.uint8]) -> Patches:
@@ -107,8 +107,8 @@ def patches_of(pyramid: Pyramid, label: NDArray[np.uint8]) -> Patches:
     share = _cell_mean(cell, label == Label.STATIC, len(pyramid.levels[0].points))
     for level, above in itertools.pairwise(pyramid.levels[: pyramid.fine_level + 1]):
         assert level.up_index is not None
-        share = _cell_mean(level.up_index.numpy(), share, len(above.points))
-    return Patches(pyramid.fine_points.numpy(), share > 0.5, pyramid.patch_index.numpy())
+        share = _cell_mean(level.up_index, share, len(above.points))
+    return Patches(pyramid.fine_points, share > 0.5, pyramid.patch_index)
 
 
 def _cell_mean(cell: NDArray[np.int64], value: NDArray[Any], size: int) -> NDArray[np.float64]:
@@ -119,12 +119,22 @@ def _cell_mean(cell: NDArray[np.int64], value: NDArray[Any], size: int) -> NDArr
     return total / np.maximum(count, 1)
 
 
-def _as_tensors(labels: PairLabels) -> PairLabels:
-    values: dict[str, Any] = {
-        f.name: torch.from_numpy(np.ascontiguousarray(getattr(labels, f.name)))
-        for f in dataclasses.fields(labels)
-    }
-    return PairLabels(**values)
+def as_tensors(sample: Sample) -> Sample:
+    """A sample with tensors in place of what network and losses read.
+
+    They change processes without a copy.
+    """
+
+    def tensor(leaf: Any) -> Any:
+        return torch.from_numpy(leaf) if isinstance(leaf, np.ndarray) else leaf
+
+    def read(pyramid: Pyramid) -> Pyramid:
+        names = ('levels', 'patch_index', 'patch_mask', 'geometry')
+        values: dict[str, Any] = {name: mapped(getattr(pyramid, name), tensor) for name in names}
+        return dataclasses.replace(pyramid, **values)
+
+    sides = read(sample.source), read(sample.target)
+    return Sample(sample.pair, *sides, mapped(sample.labels, tensor))
 
 
 def to_device(value: Any, device: str) -> Any:
@@ -200,7 +210,7 @@ class SampleStream(IterableDataset[Sample]):
         pair = augment(pair, self._config.augment, rng)
         budget = self._config.budget.drawn(rng)
         made = prepare(pair, self._model, self._config.loss, rng, budget)
-        return dataclasses.replace(made, pair=_without_points(pair))
+        return as_tensors(dataclasses.replace(made, pair=_without_points(pair)))
 
     def _draw(self, source: ShardSource, number: int, rng: np.random.Generator) -> PointPair:
         """A random pair; early in a run those with much overlap only (as far as there are any).

@@ -13,7 +13,8 @@ from torch.nn import functional as F
 
 from hybridreg_ros.model.geometry.pyramid import voxel_transform
 from hybridreg_ros.model.network.descriptors import MATCH_TEMPERATURE
-from hybridreg_ros.model.network.superpoints import gaussian_correlation, pair_weights
+from hybridreg_ros.model.network.matching import pair_weights
+from hybridreg_ros.model.reference.fused import tensor_of
 from hybridreg_ros.training import losses
 
 if TYPE_CHECKING:
@@ -22,7 +23,8 @@ if TYPE_CHECKING:
 
     from hybridreg_ros.model.config import ModelConfig
     from hybridreg_ros.model.geometry.pyramid import Pyramid
-    from hybridreg_ros.model.network.network import Encoding, HybridRegNet, SuperpointOutput
+    from hybridreg_ros.model.network.output import Encoding, SuperpointOutput
+    from hybridreg_ros.model.reference.network import HybridRegNet
     from hybridreg_ros.training.config import LossConfig
     from hybridreg_ros.training.labels import PairLabels
     from hybridreg_ros.training.samples import Sample
@@ -71,10 +73,12 @@ def pair_losses(
     coarse = coarse_loss(coarse_out, labels, config, network.config)
     fine = zero
     if config.fine_weight > 0.0 and len(labels.pair_source):
-        pairs = torch.stack([as_tensor(labels.pair_source), as_tensor(labels.pair_target)], dim=1)
-        scores = network.patch_scores(source, target, pairs)
+        pairs = torch.stack(
+            [torch.as_tensor(labels.pair_source), torch.as_tensor(labels.pair_target)], dim=1
+        )
+        assignment = network.patch_scores(source, target, pairs)
         valid = torch.ones(len(pairs), dtype=torch.bool, device=pairs.device)
-        fine = losses.point_matching_loss(scores.log_assignment, as_tensor(labels.fine), valid)
+        fine = losses.point_matching_loss(assignment, torch.as_tensor(labels.fine), valid)
     descriptor = zero
     if config.descriptor_weight > 0.0:
         descriptor = fine_descriptor_loss(
@@ -97,7 +101,7 @@ def pair_losses(
     return LossTerms(total, coarse, fine, descriptor, mask, false_match)
 
 
-def _encoded(network: HybridRegNet, pyramid: Pyramid, precision: str) -> Encoding:
+def _encoded(network: HybridRegNet, pyramid: Pyramid, precision: str) -> Encoding[Tensor]:
     """The encoding of a cloud, its features in float32."""
     if precision == 'float32':
         return network.encode(pyramid)
@@ -111,14 +115,8 @@ def _encoded(network: HybridRegNet, pyramid: Pyramid, precision: str) -> Encodin
     )
 
 
-def as_tensor(value: object) -> Tensor:
-    """The tensor that a prepared sample holds in place of an array."""
-    assert isinstance(value, Tensor)
-    return value
-
-
 def coarse_loss(
-    output: SuperpointOutput, labels: PairLabels, config: LossConfig, model: ModelConfig
+    output: SuperpointOutput[Tensor], labels: PairLabels, config: LossConfig, model: ModelConfig
 ) -> Tensor:
     """Weighted superpoint losses: cross-entropy, circle loss, or both.
 
@@ -126,7 +124,7 @@ def coarse_loss(
     weighs it; only the features learn from it, the mask has its own loss.
     """
     similarity = output.source_features @ output.target_features.T
-    overlap = as_tensor(labels.overlap)
+    overlap = torch.as_tensor(labels.overlap)
     total = similarity.sum() * 0.0
     weight = None
     if config.masked_correlation:
@@ -144,25 +142,29 @@ def coarse_loss(
 
 
 def fine_descriptor_loss(
-    source: Encoding, target: Encoding, labels: PairLabels, near_voxels: float
+    source: Encoding[Tensor], target: Encoding[Tensor], labels: PairLabels, near_voxels: float
 ) -> Tensor:
     """InfoNCE of the anchors against all fine points of the other cloud, mean of both ways.
 
     Points within `near_voxels` of an anchor's match are no negatives.
     """
-    anchors = as_tensor(labels.anchors)
+    anchors = torch.as_tensor(labels.anchors)
     sides = (source, anchors[:, 0]), (target, anchors[:, 1])
     unit = [F.normalize(side.fine_features, dim=1) for side, _ in sides]
     terms = []
     for i, j in ((0, 1), (1, 0)):
-        points, match = sides[j][0].pyramid.fine_points, sides[j][1]
+        match = sides[j][1]
+        points = tensor_of(sides[j][0].pyramid.fine_points, unit[j])
         near = torch.cdist(points[match], points) < near_voxels
         terms.append(losses.descriptor_loss(unit[i][sides[i][1]], unit[j], match, near))
     return torch.stack(terms).mean()
 
 
 def whole_cloud_false_match_loss(
-    source: Encoding, target: Encoding, V_target_source: NDArray[np.float64], near_voxels: float
+    source: Encoding[Tensor],
+    target: Encoding[Tensor],
+    V_target_source: NDArray[np.float64],
+    near_voxels: float,
 ) -> Tensor:
     """`losses.false_match_loss` of all fine points of two clouds.
 
@@ -172,20 +174,19 @@ def whole_cloud_false_match_loss(
         V_target_source: (4, 4) the true transform of their voxels.
         near_voxels: pairs within this distance are right; things that moved are wrong.
     """
-    x, y = source.pyramid.fine_points, target.pyramid.fine_points
+    unit = [F.normalize(side.fine_features, dim=1) for side in (source, target)]
+    x, y = (tensor_of(side.pyramid.fine_points, unit[0]) for side in (source, target))
     V = torch.from_numpy(V_target_source).to(x)
     right = torch.cdist(x @ V[:3, :3].T + V[:3, 3], y) < near_voxels
-    unit = [F.normalize(side.fine_features, dim=1) for side in (source, target)]
     return losses.false_match_loss(unit[0], unit[1], right, MATCH_TEMPERATURE)
 
 
-def mask_loss(output: SuperpointOutput, labels: PairLabels, config: LossConfig) -> Tensor:
+def mask_loss(output: SuperpointOutput[Tensor], labels: PairLabels, config: LossConfig) -> Tensor:
     """The mask loss that the config names, mean of both clouds."""
     if config.mask in ('nll', 'log_sum_exp'):
-        correlation = gaussian_correlation(
-            output.source_features, output.target_features, dual=False
-        )
-        overlaps = as_tensor(labels.overlap) > config.positive_overlap
+        # exp(-||x - y||^2) of unit features: the paper's correlation before its normalisation
+        correlation = torch.exp(2.0 * (output.source_features @ output.target_features.T - 1.0))
+        overlaps = torch.as_tensor(labels.overlap) > config.positive_overlap
         log_variance = losses.pair_log_variance(output.source_sigma2, output.target_sigma2)
         form = losses.laplace_nll if config.mask == 'nll' else losses.laplace_log_sum_exp
         return form(correlation, overlaps, log_variance, stop_gradient=config.mask_stop_gradient)
@@ -196,9 +197,9 @@ def mask_loss(output: SuperpointOutput, labels: PairLabels, config: LossConfig) 
     terms = []
     for logits, sigma2, trusted, static in sides:
         if config.mask == 'l1':
-            terms.append(losses.mask_l1(sigma2, as_tensor(trusted)))
+            terms.append(losses.mask_l1(sigma2, torch.as_tensor(trusted)))
         else:
-            terms.append(_side_bce(logits, as_tensor(trusted), as_tensor(static)))
+            terms.append(_side_bce(logits, torch.as_tensor(trusted), torch.as_tensor(static)))
     return torch.stack(terms).mean()
 
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 import torch.distributed as dist
 from scipy.spatial import cKDTree
 
@@ -19,7 +18,7 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.data.pair import Label
 from hybridreg_ros.metrics import registration
 from hybridreg_ros.model.encoded import EncodedCloud
-from hybridreg_ros.model.network.superpoints import select_pairs
+from hybridreg_ros.model.network.matching import select_pairs
 from hybridreg_ros.model.pose.verify import view_of
 from hybridreg_ros.model.register import HybridReg
 from hybridreg_ros.training.report import (
@@ -29,7 +28,7 @@ from hybridreg_ros.training.report import (
     EvalReport,
     PairScore,
 )
-from hybridreg_ros.training.samples import Sample, prepare, to_device
+from hybridreg_ros.training.samples import Sample, prepare
 from hybridreg_ros.training.sources import held_out_pairs
 
 if TYPE_CHECKING:
@@ -38,9 +37,12 @@ if TYPE_CHECKING:
     from hybridreg_ros.data.pair import PointPair
     from hybridreg_ros.model.config import ModelConfig
     from hybridreg_ros.model.geometry.views import View
-    from hybridreg_ros.model.network.network import HybridRegNet, SuperpointOutput
+    from hybridreg_ros.model.network.output import SuperpointOutput
+    from hybridreg_ros.model.reference.network import HybridRegNet
     from hybridreg_ros.model.result import RegistrationResult
     from hybridreg_ros.training.config import TrainConfig
+
+    F32 = NDArray[np.float32]
 
 MATCH_VOXELS = 1.5
 SCORED_POINTS = 2000
@@ -83,7 +85,7 @@ class ValidationSet:
     def score(self, network: HybridRegNet) -> Validation:
         """Score a network, one attempt a pair; the processes of the run share the pairs."""
         model = HybridReg(dataclasses.replace(network.config, attempts=1), network)
-        own = [pair_score(model, held, self._config.device) for held in self.held_out()]
+        own = [pair_score(model, held) for held in self.held_out()]
         everything: list[list[PairScore]] = [own]
         if self._world > 1:
             everything = [[] for _ in range(self._world)]
@@ -109,16 +111,25 @@ def threshold_m(voxel_size_m: float) -> float:
     return INDOOR_THRESHOLD_M if voxel_size_m < INDOOR_VOXEL_M else OUTDOOR_THRESHOLD_M
 
 
+def meets(points: F32, others: F32, radius_m: float) -> NDArray[np.bool_]:
+    """Whether one of the others (M, 3) lies within the radius of each point (N, 3)."""
+    tree = cKDTree(others, balanced_tree=False)
+    found: NDArray[np.bool_] = np.isfinite(tree.query(points, distance_upper_bound=radius_m)[0])
+    return found
+
+
+def seen_static(pair: PointPair, points: F32) -> NDArray[np.bool_]:
+    """Whether the target has a static point at the place of each of these (K, 3) of the source."""
+    static = pair.target[pair.target_label == Label.STATIC]
+    moved = se3.apply(pair.T_target_source, points)
+    return meets(moved, static, MATCH_VOXELS * pair.voxel_size_m)
+
+
 def point_mask_auc(pair: PointPair, uncertainty: NDArray[np.float32], seed: int = 0) -> float:
     """AUC of 1 - uncertainty (N,) against 'static and seen', over at most 4,000 source points."""
     rows = np.random.default_rng(seed).permutation(len(pair.source))[: 2 * SCORED_POINTS]
-    static = pair.source_label[rows] == Label.STATIC
-    tree = cKDTree(pair.target[pair.target_label == Label.STATIC], balanced_tree=False)
-    distance, _ = tree.query(
-        se3.apply(pair.T_target_source, pair.source[rows]),
-        distance_upper_bound=MATCH_VOXELS * pair.voxel_size_m,
-    )
-    return registration.roc_auc(static & np.isfinite(distance), 1.0 - uncertainty[rows])
+    trusted = (pair.source_label[rows] == Label.STATIC) & seen_static(pair, pair.source[rows])
+    return registration.roc_auc(trusted, 1.0 - uncertainty[rows])
 
 
 def overlap_points(pair: PointPair, seed: int = 0) -> NDArray[np.float32]:
@@ -127,12 +138,7 @@ def overlap_points(pair: PointPair, seed: int = 0) -> NDArray[np.float32]:
     if len(static) > SCORED_POINTS:
         keep = np.random.default_rng(seed).choice(len(static), SCORED_POINTS, replace=False)
         static = static[keep]
-    tree = cKDTree(pair.target[pair.target_label == Label.STATIC], balanced_tree=False)
-    distance, _ = tree.query(
-        se3.apply(pair.T_target_source, static),
-        distance_upper_bound=MATCH_VOXELS * pair.voxel_size_m,
-    )
-    seen: NDArray[np.float32] = static[np.isfinite(distance)]
+    seen: F32 = static[seen_static(pair, static)]
     return seen
 
 
@@ -149,20 +155,19 @@ class HeldOut:
         return cls(sample, (view_of(sample.source), view_of(sample.target)))
 
 
-def pair_score(model: HybridReg, held: HeldOut, device: str = 'cpu') -> PairScore:
+def pair_score(model: HybridReg, held: HeldOut) -> PairScore:
     """Register one pair as users do and score the network's own pose and the refined one."""
     sample = held.sample
     began = time.perf_counter()
-    with torch.inference_mode():
-        source, target = (
-            EncodedCloud(model.net.encode(to_device(pyramid, device)), view, points, 0.0)
-            for pyramid, view, points in zip(
-                (sample.source, sample.target),
-                held.views,
-                (sample.pair.source, sample.pair.target),
-                strict=True,
-            )
+    source, target = (
+        EncodedCloud(model.net.encode(pyramid), view, points)
+        for pyramid, view, points in zip(
+            (sample.source, sample.target),
+            held.views,
+            (sample.pair.source, sample.pair.target),
+            strict=True,
         )
+    )
     first = model.match(source, target)
     full_m = model.config.voxel_factor * sample.pair.voxel_size_m
     result = model.retry(
@@ -173,15 +178,14 @@ def pair_score(model: HybridReg, held: HeldOut, device: str = 'cpu') -> PairScor
         finer_m=full_m if full_m < sample.source.voxel_size_m else None,
     )
     seconds = time.perf_counter() - began
-    with torch.inference_mode():
-        coarse = model.net.correlate(source.encoding, target.encoding)
-    return score_of(sample, (first, result), coarse, model.net.config, seconds)
+    coarse = model.net.correlate(source.encoding, target.encoding)
+    return score_of(sample, (first, result), coarse, model.config, seconds)
 
 
 def score_of(
     sample: Sample,
     results: tuple[RegistrationResult, RegistrationResult],
-    coarse: SuperpointOutput,
+    coarse: SuperpointOutput[F32],
     config: ModelConfig,
     seconds: float,
 ) -> PairScore:
@@ -200,7 +204,6 @@ def score_of(
     first, result = results
     matches = first.correspondences
     sigma2 = coarse.source_sigma2, coarse.target_sigma2
-    chosen = select_pairs(coarse.source_features, coarse.target_features, *sigma2, config)
     return PairScore(
         name=pair.name,
         split=split_of(pair),
@@ -215,7 +218,7 @@ def score_of(
             T, matches.source, matches.target, 2.0 * pair.voxel_size_m
         ),
         coarse_precision=registration.coarse_precision(
-            np.asarray(sample.labels.overlap), *chosen.index.cpu().numpy().T
+            np.asarray(sample.labels.overlap), *select_pairs(coarse, config).T
         ),
         mask_auc=mask_auc(sample, sigma2),
         point_mask_auc=point_mask_auc(pair, result.source_uncertainty),
@@ -225,12 +228,12 @@ def score_of(
     )
 
 
-def mask_auc(sample: Sample, sigma2: tuple[torch.Tensor, torch.Tensor]) -> float:
+def mask_auc(sample: Sample, sigma2: tuple[F32, F32]) -> float:
     """AUC of 1 - sigma2 against 'static and seen by the other cloud', both clouds together."""
     trusted = np.concatenate(
         [np.asarray(sample.labels.source_trusted), np.asarray(sample.labels.target_trusted)]
     )
-    return registration.roc_auc(trusted > 0.5, 1.0 - torch.cat(sigma2).cpu().numpy())
+    return registration.roc_auc(trusted > 0.5, 1.0 - np.concatenate(sigma2))
 
 
 def split_of(pair: PointPair) -> str:

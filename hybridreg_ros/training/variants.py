@@ -50,5 +50,4 @@ def load_variant(
     changes = VARIANTS[name] | ({} if attempts is None else {'attempts': attempts})
     model = HybridReg.from_pretrained(weights)
     model.config = dataclasses.replace(model.config, **changes)
-    model.net.config = model.config
     return model

@@ -32,10 +32,10 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A weights file of an untrained network."""
     from hybridreg_ros.model.checkpoint import save_network
     from hybridreg_ros.model.config import ModelConfig
-    from hybridreg_ros.model.register import HybridReg
+    from hybridreg_ros.model.reference.network import HybridRegNet
 
     path = tmp_path_factory.mktemp('weights') / 'random.safetensors'
-    save_network(path, HybridReg(ModelConfig()).net, {'made by': 'test'})
+    save_network(path, HybridRegNet(ModelConfig()), {'made by': 'test'})
     return path
 
 

@@ -11,10 +11,55 @@ import pytest
 import torch
 
 from hybridreg_ros.model.config import ModelConfig
-from hybridreg_ros.model.network.network import HybridRegNet
+from hybridreg_ros.model.network.forward import Network
+from hybridreg_ros.model.network.output import Encoding, SuperpointOutput
+from hybridreg_ros.model.network.packed import packed
+from hybridreg_ros.model.reference.network import HybridRegNet
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
+
+    from hybridreg_ros.model.geometry.pyramid import Pyramid
+
+    F32 = NDArray[np.float32]
+
+
+def _as_tensors(e: Encoding[F32]) -> Encoding[torch.Tensor]:
+    features = e.fine_features, e.superpoint_features
+    return Encoding(e.pyramid, *(torch.from_numpy(x) for x in features))
+
+
+class ByTorch(Network):
+    """The network in use, computed by the torch modules that it stands for."""
+
+    def __init__(self, net: HybridRegNet) -> None:
+        super().__init__(net.config, packed(net.config, net.parameters_by_name()))
+        self.net = net
+
+    def encode(self, pyramid: Pyramid) -> Encoding[F32]:
+        with torch.no_grad():
+            found = self.net.encode(pyramid)
+        return Encoding(pyramid, found.fine_features.numpy(), found.superpoint_features.numpy())
+
+    def correlate(self, source: Encoding[F32], target: Encoding[F32]) -> SuperpointOutput[F32]:
+        with torch.no_grad():
+            found = self.net.correlate(*(_as_tensors(e) for e in (source, target)))
+        return SuperpointOutput(*(x.numpy() for x in vars(found).values()))
+
+    def static_logits(self, looks: F32, fine: F32, owners: Sequence[NDArray[np.int64]]) -> F32:
+        head = self.net.static
+        assert head is not None
+        x, y, *z = (torch.from_numpy(a) for a in (looks, fine, *owners))
+        with torch.no_grad():
+            found: F32 = head(x, y, z).numpy()
+        return found
+
+
+@pytest.fixture
+def by_torch() -> type[ByTorch]:
+    return ByTorch
 
 
 def make_room(rng: np.random.Generator, count: int = 6000) -> NDArray[np.float32]:

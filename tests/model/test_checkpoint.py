@@ -21,7 +21,7 @@ from hybridreg_ros.model.pose.confidence import ConfidenceFeatures, PairCalibrat
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hybridreg_ros.model.network.network import HybridRegNet
+    from hybridreg_ros.model.reference.network import HybridRegNet
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def weights(tmp_path: Path, compact_net: HybridRegNet) -> Path:
 
 def test_round_trip(weights: Path, compact_net: HybridRegNet) -> None:
     loaded = checkpoint.load_checkpoint(weights)
-    assert loaded.network.config == compact_net.config
+    assert loaded.config == loaded.network.config == compact_net.config
     assert loaded.provenance == {'steps': 5}
     assert loaded.calibration == PairCalibration(bias=-3.0, fitted=True)
     assert not loaded.network.training
@@ -49,7 +49,7 @@ def test_half_is_half_the_size_and_loads_as_float32(
     half = tmp_path / 'half.safetensors'
     checkpoint.save_network(half, compact_net, {}, half=True)
     assert half.stat().st_size < 0.55 * weights.stat().st_size
-    loaded = checkpoint.load_network(half).state_dict()
+    loaded = checkpoint.load_checkpoint(half).network.state_dict()
     for name, value in compact_net.state_dict().items():
         assert loaded[name].dtype == torch.float32
         torch.testing.assert_close(loaded[name], value, atol=1e-3, rtol=1e-3)
@@ -57,21 +57,21 @@ def test_half_is_half_the_size_and_loads_as_float32(
 
 def test_missing(tmp_path: Path) -> None:
     with pytest.raises(WeightsError, match=r'cannot read weights .*No such file'):
-        checkpoint.load_network(tmp_path / 'none.safetensors')
+        checkpoint.load_checkpoint(tmp_path / 'none.safetensors')
 
 
 @pytest.mark.parametrize('keep', [0, 5, 300, 100_000])
 def test_truncated(weights: Path, keep: int) -> None:
     weights.write_bytes(weights.read_bytes()[:keep])
     with pytest.raises(WeightsError, match='truncated or not a safetensors file'):
-        checkpoint.load_network(weights)
+        checkpoint.load_checkpoint(weights)
 
 
 def test_foreign_safetensors(tmp_path: Path) -> None:
     path = tmp_path / 'foreign.safetensors'
     save_file({'x': torch.zeros(3)}, str(path))
     with pytest.raises(WeightsError, match='without HybridReg metadata'):
-        checkpoint.load_network(path)
+        checkpoint.load_checkpoint(path)
 
 
 class _Trap:
@@ -87,7 +87,7 @@ def test_pickles_are_never_opened(tmp_path: Path) -> None:
         with pytest.raises(
             WeightsError, match=r'pickle or torch.save file, which is never opened'
         ):
-            checkpoint.load_network(path)
+            checkpoint.load_checkpoint(path)
 
 
 def _rewrite(path: Path, change: dict[str, torch.Tensor | None], **metadata: str) -> None:
@@ -111,8 +111,8 @@ def _rewrite(path: Path, change: dict[str, torch.Tensor | None], **metadata: str
     ('change', 'message'),
     [
         ({'output.weight': torch.zeros(3, 3)}, r'output.weight expected shape \(128, 128\)'),
-        ({'output.weight': None}, r'1 parameters missing \(output.weight\)'),
-        ({'surplus': torch.zeros(1)}, r'1 unknown \(surplus\)'),
+        ({'output.weight': None}, r'parameter output.weight is missing'),
+        ({'surplus': torch.zeros(1)}, r'1 unknown parameters \(surplus\)'),
     ],
 )
 def test_parameters_that_do_not_fit(
@@ -120,7 +120,7 @@ def test_parameters_that_do_not_fit(
 ) -> None:
     _rewrite(weights, change)
     with pytest.raises(WeightsError, match=message):
-        checkpoint.load_network(weights)
+        checkpoint.load_checkpoint(weights)
 
 
 @pytest.mark.parametrize(
@@ -134,7 +134,7 @@ def test_parameters_that_do_not_fit(
 def test_unreadable_metadata(weights: Path, metadata: dict[str, str]) -> None:
     _rewrite(weights, {}, **metadata)
     with pytest.raises(WeightsError, match='unreadable metadata'):
-        checkpoint.load_network(weights)
+        checkpoint.load_checkpoint(weights)
 
 
 def test_unwritable(tmp_path: Path, compact_net: HybridRegNet) -> None:

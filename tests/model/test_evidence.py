@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-import torch
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.model.geometry.neighbours import CellList
@@ -21,7 +20,7 @@ from hybridreg_ros.model.pose.evidence import CloudEvidence, trusted_fit
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hybridreg_ros.model.network.network import HybridRegNet
+    from hybridreg_ros.model.reference.network import HybridRegNet
 
     F32 = NDArray[np.float32]
 
@@ -97,11 +96,10 @@ def test_swapped_clouds_give_the_same(view: View, rng: np.random.Generator) -> N
 
 def test_evidence_of_an_encoding(compact_net: HybridRegNet, room: F32) -> None:
     pyramid = build_pyramid(room, 0.05, compact_net.config)
-    with torch.no_grad():
-        encoding = compact_net.encode(pyramid)
+    encoding = compact_net.for_use().encode(pyramid)
     e = CloudEvidence.of(encoding, np.full(len(pyramid.superpoints), 0.25, np.float32))
     np.testing.assert_allclose(e.sigma2, 0.25, atol=1e-6)
     assert e.sigma2.shape == (len(pyramid.levels[0].points),)
     np.testing.assert_allclose(np.linalg.norm(e.features, axis=1), 1.0, rtol=1e-5)
-    gap = np.abs(pyramid.levels[0].points.numpy() - pyramid.fine_points.numpy()[e.owner])
+    gap = np.abs(pyramid.levels[0].points - pyramid.fine_points[e.owner])
     assert gap.max() <= 2.0  # a fine point holds what is in its voxel of two finest ones

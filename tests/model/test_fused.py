@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch.nn import functional
 
-from hybridreg_ros.model.network.fused import group_norm_act, lookup_scores, neighbour_max
+from hybridreg_ros.model.reference.fused import group_norm_act, lookup_scores, neighbour_max
 
 
 @pytest.mark.parametrize('slope', [0.1, 1.0])

@@ -13,42 +13,51 @@ import torch
 from hybridreg_ros.core.errors import ConfigError, RegistrationError
 from hybridreg_ros.model.config import ModelConfig
 from hybridreg_ros.model.geometry.pyramid import build_pyramid
-from hybridreg_ros.model.network.network import HybridRegNet
+from hybridreg_ros.model.reference.network import HybridRegNet
+from hybridreg_ros.model.register import HybridReg
 
 if TYPE_CHECKING:
-    from hybridreg_ros.model.network.network import Encoding
+    from hybridreg_ros.model.encoded import EncodedCloud
+    from hybridreg_ros.model.network.matching import MatchOutput
+    from hybridreg_ros.model.network.output import Encoding
 
 SHIFT_M = np.array([0.8, -0.4, 0.4], np.float32)  # whole superpoint voxels: the grids coincide
 
 
-def _encodings(net: HybridRegNet, *clouds: np.ndarray) -> list[Encoding]:
+def _encodings(net: HybridRegNet, *clouds: np.ndarray) -> list[Encoding[torch.Tensor]]:
     with torch.no_grad():
         return [net.encode(build_pyramid(c, 0.05, net.config)) for c in clouds]
+
+
+def _encoded(net: HybridRegNet, *clouds: np.ndarray) -> list[EncodedCloud]:
+    return [HybridReg(net.config, net).encode(c, 0.05) for c in clouds]
+
+
+def _match(net: HybridRegNet, source: EncodedCloud, target: EncodedCloud) -> MatchOutput:
+    return HybridReg(net.config, net).matches(source, target)
 
 
 def test_shifted_copy_is_found_even_with_random_weights(
     compact_net: HybridRegNet, room: np.ndarray
 ) -> None:
-    source, target = _encodings(compact_net, room, room + SHIFT_M)
-    match = compact_net.match(source, target)
+    match = _match(compact_net, *_encoded(compact_net, room, room + SHIFT_M))
     np.testing.assert_allclose(match.T_target_source[:3, :3], np.eye(3), atol=1e-3)
     np.testing.assert_allclose(match.T_target_source[:3, 3], SHIFT_M, atol=5e-3)
     moved = match.source_points + SHIFT_M
     near = np.linalg.norm(moved - match.target_points, axis=1) < 0.1
-    assert match.inliers.sum() >= 3
-    assert (match.inliers == near).mean() > 0.9
-    assert len(match.weights) == len(match.source_points) == len(match.inliers)
+    assert match.estimate.inliers.sum() >= 3
+    assert (match.estimate.inliers == near).mean() > 0.9
+    assert len(match.weights) == len(match.source_points) == len(match.estimate.inliers)
 
 
 def test_encode_once_equals_joint_forward(
     compact_net: HybridRegNet, room: np.ndarray, rng: np.random.Generator
 ) -> None:
     other = room[rng.random(len(room)) < 0.7] + np.float32(0.13)
-    keyframe, first, second = _encodings(compact_net, room, other, room + SHIFT_M)
-    compact_net.match(second, keyframe)
-    kept = compact_net.match(first, keyframe)
-    a, b = _encodings(compact_net, other, room)
-    joint = compact_net.match(a, b)
+    keyframe, first, second = _encoded(compact_net, room, other, room + SHIFT_M)
+    _match(compact_net, second, keyframe)
+    kept = _match(compact_net, first, keyframe)
+    joint = _match(compact_net, *_encoded(compact_net, other, room))
     np.testing.assert_array_equal(kept.T_target_source, joint.T_target_source)
     np.testing.assert_array_equal(kept.weights, joint.weights)
     np.testing.assert_array_equal(kept.target_sigma2, joint.target_sigma2)
@@ -79,7 +88,7 @@ def test_one_pair_of_patches_equals_the_batch(compact_net: HybridRegNet, room: n
     batch = compact_net.patch_scores(a, b, pairs)
     for i in range(3):
         single = compact_net.patch_scores(a, b, pairs[i : i + 1])
-        torch.testing.assert_close(single.log_assignment[0], batch.log_assignment[i])
+        torch.testing.assert_close(single[0], batch[i])
 
 
 def test_every_parameter_learns(room: np.ndarray) -> None:
@@ -91,7 +100,7 @@ def test_every_parameter_learns(room: np.ndarray) -> None:
     fine = net.patch_scores(a, b, torch.tensor([[0, 0], [3, 4]]))
     loss = (coarse.source_features @ coarse.target_features.t()).square().sum()
     loss = loss + coarse.source_sigma2.sum() + coarse.target_sigma2.sum()
-    loss = loss + fine.log_assignment[fine.log_assignment > -100].square().sum()
+    loss = loss + fine[fine > -100].square().sum()
     loss.backward()
     silent = [n for n, p in net.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0]
     # Adding one number to all scores of a query changes no softmax.
@@ -103,8 +112,7 @@ def test_profiles_run(name: str, rng: np.random.Generator) -> None:
     torch.manual_seed(0)
     net = HybridRegNet(ModelConfig.profile(name)).eval()
     cloud = rng.uniform(0, 1, (400, 3)).astype(np.float32)
-    a, b = _encodings(net, cloud, cloud)
-    match = net.match(a, b)
+    match = _match(net, *_encoded(net, cloud, cloud))
     np.testing.assert_allclose(match.T_target_source, np.eye(4), atol=1e-2)
 
 
@@ -122,14 +130,13 @@ def test_paper_mask_is_selectable(room: np.ndarray) -> None:
     net = HybridRegNet(ModelConfig(mask_outputs=1, mask_combination='variance_product'))
     a, b = _encodings(net, room, room)
     assert net.correlate(a, b).source_logits.shape == (len(a.pyramid.superpoints), 1)
-    net.match(a, b)
+    assert len(_match(net, *_encoded(net, room, room)).weights) > 3
 
 
 def test_ransac_is_selectable(room: np.ndarray) -> None:
     torch.manual_seed(3)
     net = HybridRegNet(ModelConfig(estimator='ransac'))
-    a, b = _encodings(net, room, room + SHIFT_M)
-    match = net.match(a, b)
+    match = _match(net, *_encoded(net, room, room + SHIFT_M))
     np.testing.assert_allclose(match.T_target_source[:3, 3], SHIFT_M, atol=5e-2)
 
 

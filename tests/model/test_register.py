@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-import torch
 
 from hybridreg_ros import HybridReg
 from hybridreg_ros.core import se3
@@ -20,13 +19,13 @@ from hybridreg_ros.model.geometry.normals import surface_normals
 from hybridreg_ros.model.geometry.pyramid import build_pyramid
 from hybridreg_ros.model.geometry.views import View
 from hybridreg_ros.model.geometry.voxel_size import choose_voxel_size_m
-from hybridreg_ros.model.network import forward
+from hybridreg_ros.model.network.matching import match
 from hybridreg_ros.model.pose.confidence import ConfidenceFeatures, PairCalibration
 from hybridreg_ros.model.pose.posterior import posterior_sigma2
 from hybridreg_ros.model.pose.refine import refine
 
 if TYPE_CHECKING:
-    from hybridreg_ros.model.network.network import HybridRegNet
+    from hybridreg_ros.model.reference.network import HybridRegNet
 
 SHIFT_M = np.array([0.8, -0.4, 0.4], np.float32)
 
@@ -64,13 +63,14 @@ def test_register_equals_encode_and_match(model: HybridReg, room: np.ndarray) ->
 
 def test_encodings_keep_no_operators_of_the_backbone(model: HybridReg, room: np.ndarray) -> None:
     pyramid = build_pyramid(room, 0.05, model.config)
-    kept = model.encode(room, 0.05).encoding
-    assert all((v.conv, v.pool, v.pool_index) == (None, None, None) for v in kept.pyramid.levels)
+    kept = model.encode(room, 0.05)
+    levels = kept.encoding.pyramid.levels
+    assert all((v.conv, v.pool, v.pool_index) == (None, None, None) for v in levels)
     assert all(v.conv is not None for v in pyramid.levels)
-    with torch.no_grad():
-        whole = forward.encode(model.net, pyramid)
-        one, two = model.net.match(whole, whole), model.net.match(kept, kept)
-    np.testing.assert_array_equal(one.weights, two.weights)
+    whole = dataclasses.replace(kept.encoding, pyramid=pyramid)
+    coarse = model.net.correlate(whole, whole)
+    one = match(whole, whole, coarse, model.net.dustbin, model.config)
+    np.testing.assert_array_equal(one.weights, model.matches(kept, kept).weights)
 
 
 def test_a_sequence_keeps_its_first_voxel_size(model: HybridReg, room: np.ndarray) -> None:

@@ -28,7 +28,7 @@ from hybridreg_ros.model.retry import (
 )
 
 if TYPE_CHECKING:
-    from hybridreg_ros.model.network.network import HybridRegNet
+    from hybridreg_ros.model.reference.network import HybridRegNet
 
 T = se3.transform(se3.so3_exp(np.array([0.2, -0.1, 0.4])), np.array([1.0, -2.0, 0.5]))
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -14,11 +15,16 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import WeightsError
 from hybridreg_ros.metrics.registration import roc_auc
 from hybridreg_ros.model.budget import Budget
+from hybridreg_ros.model.checkpoint import load_checkpoint, packaged_weights
 from hybridreg_ros.model.config import ModelConfig
-from hybridreg_ros.model.geometry.pyramid import build_pyramid
-from hybridreg_ros.model.network.network import HybridRegNet
+from hybridreg_ros.model.reference.network import HybridRegNet
 from hybridreg_ros.model.register import HybridReg
 from hybridreg_ros.model.static_points import head_input
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from hybridreg_ros.model.network.forward import Network
 
 VOXEL_M = 0.08
 
@@ -32,10 +38,9 @@ def packaged() -> HybridReg:
 def headless(packaged: HybridReg) -> HybridReg:
     """The packaged weights without their static head."""
     config = dataclasses.replace(packaged.config, static_width=0)
-    net = HybridRegNet(config)
-    kept = packaged.net.state_dict()
-    net.load_state_dict({k: v for k, v in kept.items() if not k.startswith('static.')})
-    return HybridReg(config, net, packaged.calibration)
+    kept = load_checkpoint(packaged_weights()).parameters
+    trunk = {k: v for k, v in kept.items() if not k.startswith('static.')}
+    return HybridReg(config, HybridRegNet.of(config, trunk), packaged.calibration)
 
 
 @pytest.fixture
@@ -120,7 +125,8 @@ def test_weights_without_a_head_say_so(headless: HybridReg, room: np.ndarray) ->
 
 def test_the_order_of_the_points_does_not_matter(scene: tuple) -> None:
     torch.manual_seed(2)
-    model = HybridReg(ModelConfig(static_width=8))
+    config = ModelConfig(static_width=8)
+    model = HybridReg(config, HybridRegNet(config))
     source, target, T, _ = scene
     order = np.random.default_rng(0).permutation(len(source))
     b = model.encode(target, VOXEL_M)
@@ -129,16 +135,17 @@ def test_the_order_of_the_points_does_not_matter(scene: tuple) -> None:
     np.testing.assert_allclose(mixed.static, straight.static[order], atol=2e-4)
 
 
-def test_torch_and_the_compiled_encoding_agree(scene: tuple) -> None:
+@pytest.mark.parametrize('fine_level', [0, 1])
+def test_torch_and_the_compiled_head_agree(
+    scene: tuple, fine_level: int, by_torch: Callable[[HybridRegNet], Network]
+) -> None:
     torch.manual_seed(2)
-    model = HybridReg(ModelConfig(static_width=8))
+    config = ModelConfig(static_width=8, fine_level=fine_level)
+    net = HybridRegNet(config)
     source, target, T, _ = scene
-    compiled = [model.encode(cloud, VOXEL_M) for cloud in (source, target)]
-    pyramids = [build_pyramid(cloud, VOXEL_M, model.config) for cloud in (source, target)]
-    with torch.no_grad():
-        plain = [
-            dataclasses.replace(c, encoding=model.net.encode(p))
-            for c, p in zip(compiled, pyramids, strict=True)
-        ]
-    one, other = (model.point_mask(a, b, T) for a, b in (compiled, plain))
+    one, other = (
+        model.point_mask(model.encode(source, VOXEL_M), model.encode(target, VOXEL_M), T)
+        for model in (HybridReg(config, net), HybridReg(config, by_torch(net)))
+    )
     np.testing.assert_allclose(one.static, other.static, atol=1e-5)
+    np.testing.assert_allclose(one.seen, other.seen, atol=1e-5)

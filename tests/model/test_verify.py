@@ -25,7 +25,7 @@ from hybridreg_ros.model.pose.verify import Verified, propose, verify
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hybridreg_ros.model.network.network import HybridRegNet
+    from hybridreg_ros.model.reference.network import HybridRegNet
 
     F32 = NDArray[np.float32]
     F64 = NDArray[np.float64]

@@ -10,6 +10,7 @@ import pytest
 from hybridreg_ros.core import se3
 from hybridreg_ros.model.budget import Budget
 from hybridreg_ros.model.config import ModelConfig
+from hybridreg_ros.model.reference.network import HybridRegNet
 from hybridreg_ros.model.register import HybridReg
 from hybridreg_ros.odometry.keyframes import Keyframe
 from hybridreg_ros.odometry.network_branch import LearnedBranch, load
@@ -64,7 +65,7 @@ def test_no_answer_where_nothing_is_kept_or_known(branch: LearnedBranch) -> None
     assert branch.point_mask(scan, keyframe, np.eye(4)) is None
     branch.adopt(keyframe, branch.encode(room, Budget(400, 64)))
     assert branch.point_mask(scan, keyframe, np.eye(4)) is None  # another budget
-    without = branch_of(HybridReg(ModelConfig()))
+    without = branch_of(HybridReg(ModelConfig(), HybridRegNet(ModelConfig())))
     scan = without.encode(room, BUDGET)
     assert scan is not None
     without.adopt(keyframe, scan)

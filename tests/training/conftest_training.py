@@ -15,7 +15,7 @@ from hybridreg_ros.data.hybridmatch.shards import encode_pair, write_shard
 from hybridreg_ros.data.pair import Label, PointPair
 from hybridreg_ros.model.checkpoint import save_network
 from hybridreg_ros.model.config import ModelConfig
-from hybridreg_ros.model.network.network import HybridRegNet
+from hybridreg_ros.model.reference.network import HybridRegNet
 from hybridreg_ros.training.config import AugmentConfig, LossConfig, TrainConfig
 
 TINY = ModelConfig(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import torch
 
-from hybridreg_ros.model.checkpoint import load_network, packaged_weights
+from hybridreg_ros.model.checkpoint import load_checkpoint, packaged_weights
 from hybridreg_ros.training.config import TrainConfig
 
 SCRIPT = Path(__file__).parents[2] / 'scripts' / 'ablation.py'
@@ -42,9 +42,9 @@ def test_rows_differ_in_the_mask_alone(tmp_path):
 
 
 def test_all_rows_start_with_the_same_untrained_mask(tmp_path):
-    ablation, trunk = script(), load_network(packaged_weights()).state_dict()
+    ablation, trunk = script(), load_checkpoint(packaged_weights()).network.state_dict()
     paths = [ablation.without_mask(packaged_weights(), tmp_path / name) for name in 'ab']
-    first, second = (load_network(path).state_dict() for path in paths)
+    first, second = (load_checkpoint(path).network.state_dict() for path in paths)
     assert all(torch.equal(first[k], second[k]) for k in first)
     changed = {k.split('.')[0] for k in first if not torch.equal(first[k], trunk[k])}
     assert changed == {'mask'}

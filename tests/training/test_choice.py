@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from conftest_training import TINY, make_pair
 
-from hybridreg_ros.model.network.network import HybridRegNet
 from hybridreg_ros.model.pose.score import TRACES, WEIGHTS
+from hybridreg_ros.model.reference.network import HybridRegNet
 from hybridreg_ros.model.register import HybridReg
 from hybridreg_ros.training.choice import Contest, contest, fit_weights, held_out_wins, won
 

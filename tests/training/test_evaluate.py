@@ -16,8 +16,8 @@ from hybridreg_ros.core import se3
 from hybridreg_ros.core.config import dump_yaml, load_yaml
 from hybridreg_ros.core.errors import FileFormatError
 from hybridreg_ros.data.pair import Label
-from hybridreg_ros.model.network.network import HybridRegNet
 from hybridreg_ros.model.pose.confidence import feature_names
+from hybridreg_ros.model.reference.network import HybridRegNet
 from hybridreg_ros.model.register import HybridReg
 from hybridreg_ros.training.config import TrainConfig
 from hybridreg_ros.training.evaluate import (

@@ -16,7 +16,7 @@ import torch
 
 from hybridreg_ros.core.config import load_yaml
 from hybridreg_ros.core.errors import WeightsError
-from hybridreg_ros.model.checkpoint import load_checkpoint, load_network
+from hybridreg_ros.model.checkpoint import load_checkpoint
 from hybridreg_ros.training.config import TrainConfig
 from hybridreg_ros.training.loop import Run, train
 
@@ -75,7 +75,7 @@ def _tiny_product() -> float:
 def test_weights_move_and_the_average_lags_behind(tiny_run, tiny_weights):
     config = tiny_run(ema=0.9)
     train(config)
-    state, start = state_of(config), load_network(tiny_weights).state_dict()
+    state, start = state_of(config), load_checkpoint(tiny_weights).network.state_dict()
     name = 'output.weight'
     moved = (state['network'][name] - start[name]).norm()
     lag = (state['average'][name] - start[name]).norm()
@@ -133,7 +133,7 @@ def test_two_pairs_accumulated_equal_the_mean_gradient(tiny_run, monkeypatch):
     from hybridreg_ros.training.samples import SampleStream
     from hybridreg_ros.training.step import pair_losses
 
-    network = load_network(config.start_weights).train()
+    network = load_checkpoint(config.start_weights).network.train()
     stream = iter(SampleStream(config, network.config))
     for _ in range(2):
         (0.5 * pair_losses(network, next(stream), config.loss).total).backward()

@@ -14,7 +14,7 @@ from hybridreg_ros.data.hybridmatch.shards import encode_pair, write_shard
 from hybridreg_ros.data.loaders.labelled import open_labelled
 from hybridreg_ros.data.pair import Label
 from hybridreg_ros.metrics.registration import roc_auc
-from hybridreg_ros.model.network.network import HybridRegNet
+from hybridreg_ros.model.reference.network import HybridRegNet
 from hybridreg_ros.model.register import HybridReg
 from hybridreg_ros.training.moving import Tally, best_iou, histogram_auc, score_moving
 

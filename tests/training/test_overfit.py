@@ -8,7 +8,7 @@ import torch
 
 from hybridreg_ros.data.hybridmatch.room_pairs import make_pairs
 from hybridreg_ros.model.config import ModelConfig
-from hybridreg_ros.model.network.network import HybridRegNet
+from hybridreg_ros.model.reference.network import HybridRegNet
 from hybridreg_ros.model.register import HybridReg
 from hybridreg_ros.training import optim
 from hybridreg_ros.training.config import LossConfig, TrainConfig

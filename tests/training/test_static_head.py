@@ -19,8 +19,8 @@ from hybridreg_ros.data.hybridmatch.shards import encode_pair, write_shard
 from hybridreg_ros.data.pair import Label
 from hybridreg_ros.metrics.registration import roc_auc
 from hybridreg_ros.model.checkpoint import load_checkpoint
-from hybridreg_ros.model.network.network import HybridRegNet
-from hybridreg_ros.model.network.static_head import StaticHead
+from hybridreg_ros.model.reference.network import HybridRegNet
+from hybridreg_ros.model.reference.static_head import StaticHead
 from hybridreg_ros.model.register import HybridReg
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import pytest
 import torch
 from conftest_training import TINY, make_pair
 
-from hybridreg_ros.model.network.network import HybridRegNet
+from hybridreg_ros.model.reference.network import HybridRegNet
 from hybridreg_ros.training.config import LossConfig
 from hybridreg_ros.training.samples import prepare
 from hybridreg_ros.training.step import pair_losses

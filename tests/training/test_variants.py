@@ -12,7 +12,7 @@ import pytest
 from hybridreg_ros.core.errors import ConfigError
 from hybridreg_ros.model.checkpoint import save_network
 from hybridreg_ros.model.config import ModelConfig
-from hybridreg_ros.model.network.network import HybridRegNet
+from hybridreg_ros.model.reference.network import HybridRegNet
 from hybridreg_ros.training.variants import VARIANTS, load_variant
 
 if TYPE_CHECKING:
@@ -31,11 +31,10 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_variant_registers(name: str, weights: Path) -> None:
     model = load_variant(name, weights)
     for field, value in VARIANTS[name].items():
-        assert getattr(model.net.config, field) == value
+        assert getattr(model.config, field) == value
     points = np.random.default_rng(0).uniform(0, 3, (1500, 3)).astype(np.float32)
     result = model.register(points, points, 0.1)
     assert np.isfinite(result.T_target_source).all()
-    assert model.net.config is model.config
 
 
 def test_the_variants_differ(weights: Path) -> None:

@@ -8,18 +8,14 @@ A kernel point reaches only the neighbours near it, about a third of all weights
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
 from hybridreg_ros.core.jit import compiled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    Tensor = torch.Tensor
-
 
 _TYPICAL_ENTRIES = 60
 """Influences per output that room is made for at first; 30 to 46 were counted."""
@@ -41,9 +37,9 @@ class KernelOperator:
         inputs: N.
     """
 
-    rows: Tensor
-    columns: Tensor
-    weights: Tensor
+    rows: NDArray[np.int32]
+    columns: NDArray[np.int32]
+    weights: NDArray[np.float32]
     kernel_points: int
     outputs: int
     inputs: int
@@ -131,88 +127,4 @@ def kernel_operator(
         extent: distance at which the influence of a kernel point ends, same unit.
     """
     rows, columns, weights = _influences(queries, support, neighbours, kernel, extent)
-    return KernelOperator(
-        torch.from_numpy(rows),
-        torch.from_numpy(columns),
-        torch.from_numpy(weights),
-        len(kernel),
-        len(queries),
-        len(support),
-    )
-
-
-@compiled
-def _weighted_rows(
-    x: NDArray[np.float32],
-    read: NDArray[np.int32],
-    write: NDArray[np.int32],
-    weights: NDArray[np.float32],
-    count: int,
-) -> NDArray[np.float32]:
-    """Rows `read` of x (·, C) times the weights, added up in rows `write` of (count, C)."""
-    channels = x.shape[1]
-    out = np.zeros((count, channels), np.float32)
-    for e in range(weights.shape[0]):
-        w, i, o = weights[e], read[e], write[e]
-        for c in range(channels):
-            out[o, c] += w * x[i, c]
-    return out
-
-
-class _Aggregate(torch.autograd.Function):
-    """Sparse product on the CPU: compiled gather forward, compiled scatter backward."""
-
-    @staticmethod
-    def forward(ctx: Any, x: Tensor, operator: KernelOperator) -> Tensor:
-        ctx.operator = operator
-        rows, columns, weights = _arrays(operator)
-        count = operator.outputs * operator.kernel_points
-        values = x.detach().contiguous().numpy()
-        return torch.from_numpy(_weighted_rows(values, columns, rows, weights, count))
-
-    @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, None]:
-        if not ctx.needs_input_grad[0]:
-            return None, None
-        rows, columns, weights = _arrays(ctx.operator)
-        g = grads[0].contiguous().numpy()
-        return torch.from_numpy(
-            _weighted_rows(g, rows, columns, weights, ctx.operator.inputs)
-        ), None
-
-
-def _arrays(
-    operator: KernelOperator,
-) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
-    return operator.rows.numpy(), operator.columns.numpy(), operator.weights.numpy()
-
-
-def aggregate(x: Tensor, operator: KernelOperator) -> Tensor:
-    """Features gathered by every kernel point.
-
-    Args:
-        x: (N, C) float32 input features.
-        operator: influence weights from N inputs to M outputs.
-
-    Returns:
-        (M, K * C) float32, ready for one matrix product with the (K * C, C_out) weights.
-    """
-    if x.device.type == 'cpu':
-        gathered = _Aggregate.apply(x.float(), operator)  # type: ignore[no-untyped-call]
-    else:
-        matrix = torch.sparse_coo_tensor(
-            torch.stack([operator.rows, operator.columns]),
-            operator.weights,
-            (operator.outputs * operator.kernel_points, operator.inputs),
-            is_coalesced=True,
-        )
-        with torch.autocast(x.device.type, enabled=False):
-            gathered = matrix @ x.float()
-    return gathered.view(operator.outputs, -1)  # type: ignore[no-any-return]
-
-
-def influence_sums(operator: KernelOperator) -> Tensor:
-    """What `aggregate` makes of ones: (M, K) float32, sum of the influences of every row."""
-    count = operator.outputs * operator.kernel_points
-    sums = torch.zeros(count, dtype=torch.float32, device=operator.weights.device)
-    return sums.index_add_(0, operator.rows, operator.weights).view(operator.outputs, -1)
+    return KernelOperator(rows, columns, weights, len(kernel), len(queries), len(support))

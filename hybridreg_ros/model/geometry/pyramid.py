@@ -1,8 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Pyramid: everything about one cloud that depends on geometry alone, built without torch maths.
+"""Pyramid: everything about one cloud that depends on geometry alone.
 
-A data worker builds it, the network only reads it; no gradient passes through it.
+A data worker builds it, the network only reads it; no gradient passes through it. In a training
+sample tensors stand in place of what the network reads (`training.samples`).
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
 from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.model.geometry import ops
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from hybridreg_ros.model.config import ModelConfig
 
-    Tensor = torch.Tensor
+    F32 = NDArray[np.float32]
 
 MIN_POINTS = 3
 _MAX_EXTENT_VOXELS = float(2**20)
@@ -46,11 +46,11 @@ class Level:
             the coarsest.
     """
 
-    points: Tensor
+    points: F32
     conv: KernelOperator | None
     pool: KernelOperator | None = None
-    pool_index: Tensor | None = None
-    up_index: Tensor | None = None
+    pool_index: NDArray[np.int32] | None = None
+    up_index: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,17 +73,17 @@ class Pyramid:
     """
 
     levels: tuple[Level, ...]
-    patch_index: Tensor
-    patch_mask: Tensor
-    geometry: Tensor
+    patch_index: NDArray[np.int64]
+    patch_mask: NDArray[np.bool_]
+    geometry: NDArray[np.int16]
     input_to_level0: NDArray[np.int32]
     voxel_size_m: float
     origin_m: NDArray[np.float64]
     fine_level: int
-    normals: NDArray[np.float32]
+    normals: F32
 
     @property
-    def fine_points(self) -> Tensor:
+    def fine_points(self) -> F32:
         """(F, 3) float32 fine points, finest voxels, relative to `origin_m`."""
         return self.levels[self.fine_level].points
 
@@ -94,7 +94,7 @@ class Pyramid:
         return replace(self, levels=tuple(levels))
 
     @property
-    def superpoints(self) -> Tensor:
+    def superpoints(self) -> F32:
         """(S, 3) float32 superpoints, finest voxels, relative to `origin_m`."""
         return self.levels[-1].points
 
@@ -165,9 +165,9 @@ def build_pyramid(
     )
     return Pyramid(
         levels,
-        torch.from_numpy(patch.astype(np.int64)),
-        torch.from_numpy(patch < len(fine)),
-        torch.from_numpy(pairwise_bins(super_, config)),
+        patch.astype(np.int64),
+        patch < len(fine),
+        pairwise_bins(super_, config),
         input_to_level0,
         float(voxel_size_m),
         origin,
@@ -264,15 +264,13 @@ def _levels(
         if i == 0:
             normals = surface_normals(grid.points, near)
         conv = kernel_operator(grid.points, grid.points, near, kernel, extent)
-        points = torch.from_numpy(grid.points)
         if i == len(grids) - 1:
-            levels.append(Level(points, conv))
+            levels.append(Level(grid.points, conv))
             break
         coarse = grids[i + 1]
         below = cells.search(coarse.points, radius, config.neighbours)
         pool = kernel_operator(coarse.points, grid.points, below, kernel, extent)
-        up = torch.from_numpy(coarse.owner.astype(np.int64))
-        levels.append(Level(points, conv, pool, torch.from_numpy(below), up))
+        levels.append(Level(grid.points, conv, pool, below, coarse.owner.astype(np.int64)))
     return tuple(levels), normals
 
 

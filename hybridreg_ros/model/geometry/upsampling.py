@@ -69,7 +69,7 @@ def upsample_to_level0(
     Returns:
         (N0,) or (K,) float32; with V columns where `values` has them.
     """
-    points, super_ = pyramid.levels[0].points.cpu().numpy(), pyramid.superpoints.cpu().numpy()
+    points, super_ = pyramid.levels[0].points, pyramid.superpoints
     points = points if rows is None else points[rows]
     reach = 2.0 * 2 ** (len(pyramid.levels) - 1)
     near = CellList.build(super_, reach).search(points, reach, 3)

@@ -7,17 +7,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
-from torch.nn import functional
 
 from hybridreg_ros.core.jit import compiled
-from hybridreg_ros.model.network.forward_attention import exponentials
+from hybridreg_ros.model.network.forward_attention import exponentials, unit_rows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Tensor = torch.Tensor
     F32 = NDArray[np.float32]
+    I64 = NDArray[np.int64]
 
 MAX_POINTS = 3000
 """Fine points of a cloud that are compared; of more, evenly spread ones are taken."""
@@ -26,16 +24,14 @@ MATCH_TEMPERATURE = 0.05
 """Of the softmaxes over cosine similarities by which pairs are ranked."""
 
 
-def evenly_spread(count: int, most: int) -> Tensor:
-    """At most `most` of the numbers 0 to count - 1, evenly spread, ascending (int64)."""
-    if count <= most:
-        return torch.arange(count)
-    return torch.linspace(0, count - 1, most).round().long()
+def evenly_spread(count: int, most: int) -> I64:
+    """At most `most` of the numbers 0 to count - 1, evenly spread, ascending."""
+    return np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)
 
 
 def likely_pairs(
-    x: Tensor, y: Tensor, count: int, temperature: float, most: int = MAX_POINTS
-) -> tuple[Tensor, Tensor]:
+    x: F32, y: F32, count: int, temperature: float, most: int = MAX_POINTS
+) -> tuple[I64, F32]:
     """The most likely pairs of points.
 
     The likelihood of a pair is the share that its similarity has among all partners of the one
@@ -55,13 +51,10 @@ def likely_pairs(
         first column); P is `count`, or the number of all pairs if that is smaller.
     """
     rows_x, rows_y = evenly_spread(len(x), most), evenly_spread(len(y), most)
-    u = functional.normalize(x[rows_x.to(x.device)], dim=1) / temperature
-    v = functional.normalize(y[rows_y.to(y.device)], dim=1).T
-    arrays = (features.detach().cpu().contiguous().numpy() for features in (u, v))
-    e, rows, columns = _similarities(*arrays, 1.0 / temperature)
+    u, v = unit_rows(x[rows_x]) / np.float32(temperature), unit_rows(y[rows_y]).T
+    e, rows, columns = _similarities(u, np.ascontiguousarray(v), 1.0 / temperature)
     i, j, w = _largest(e, rows, columns, count)
-    index = torch.stack([rows_x[torch.from_numpy(i)], rows_y[torch.from_numpy(j)]], dim=1)
-    return index, torch.from_numpy(w)
+    return np.stack([rows_x[i], rows_y[j]], axis=1), w
 
 
 @compiled
@@ -81,9 +74,7 @@ def _similarities(u: F32, v: F32, most: float) -> tuple[F32, F32, F32]:
     return e, rows, columns
 
 
-def _largest(
-    e: F32, rows: F32, columns: F32, count: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], F32]:
+def _largest(e: F32, rows: F32, columns: F32, count: int) -> tuple[I64, I64, F32]:
     """Rows, columns and values of the `count` largest of e^2 rows_i columns_j, largest first."""
     top = _row_tops(e, rows, columns)
     floor = np.float32(-1.0)
@@ -111,9 +102,7 @@ def _row_tops(e: F32, rows: F32, columns: F32) -> F32:
 
 
 @compiled
-def _at_least(
-    e: F32, rows: F32, columns: F32, top: F32, floor: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64], F32]:
+def _at_least(e: F32, rows: F32, columns: F32, top: F32, floor: float) -> tuple[I64, I64, F32]:
     """Rows, columns and values of the entries that are not below `floor`, row by row."""
     i, j, w = [], [], []
     for r in range(e.shape[0]):

@@ -51,14 +51,12 @@ class PoseEstimate:
         V_target_source: (4, 4) float64, voxels.
         inliers: (C,) bool, matches within the acceptance radius.
         residual: root mean square distance of the inliers, voxels; inf without inliers.
-        hypotheses: number of patch pairs that gave a hypothesis.
         agreeing: share of the hypotheses whose own matches mostly agree with the final pose.
     """
 
     V_target_source: F64
     inliers: NDArray[np.bool_]
     residual: float
-    hypotheses: int
     agreeing: float
 
 
@@ -271,13 +269,13 @@ def judged(
         total = np.bincount(matches.patch, minlength=size)[patches]
         right = np.bincount(matches.patch, weights=inlier, minlength=size)[patches]
         agreeing = float((right > 0.5 * total).mean())
-    return PoseEstimate(T, inlier, residual, len(patches), agreeing)
+    return PoseEstimate(T, inlier, residual, agreeing)
 
 
 def _nothing(matches: PointMatches) -> PoseEstimate:
     """The identity, with no inlier: there was nothing to fit."""
     none = np.zeros(len(matches.weights), dtype=bool)
-    return PoseEstimate(np.eye(4), none, float('inf'), 0, 0.0)
+    return PoseEstimate(np.eye(4), none, float('inf'), 0.0)
 
 
 def ransac(

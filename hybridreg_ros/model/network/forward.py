@@ -1,95 +1,95 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The network without gradients on a CPU, by compiled calls in place of tensor operations.
+"""The network without gradients on a CPU, in a few compiled calls.
 
-`HybridRegNet` is the reference; both agree up to the rounding of float32 (a test compares them).
+The torch modules in `model/reference` are what trains; both agree up to the rounding of float32
+(tests compare them).
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import torch
-
-from hybridreg_ros.model.network.forward_attention import correlate as _correlate
-from hybridreg_ros.model.network.forward_attention import self_attention
+from hybridreg_ros.model.network.forward_attention import correlate, self_attention
 from hybridreg_ros.model.network.forward_backbone import backbone
-from hybridreg_ros.model.network.network import Encoding, SuperpointOutput
-from hybridreg_ros.model.network.packed import weights_of
-from hybridreg_ros.model.network.uncertainty import sigma2_of
+from hybridreg_ros.model.network.forward_static import static_logits
+from hybridreg_ros.model.network.output import (
+    Encoding,
+    SuperpointOutput,
+    check_voxels,
+    sigma2_of,
+)
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import numpy as np
     from numpy.typing import NDArray
 
+    from hybridreg_ros.model.config import ModelConfig
     from hybridreg_ros.model.geometry.kernel import KernelOperator
     from hybridreg_ros.model.geometry.pyramid import Pyramid
-    from hybridreg_ros.model.network.network import HybridRegNet
+    from hybridreg_ros.model.network.packed import Weights
 
-    Operator = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]
-
-
-def has_compiled_form(net: HybridRegNet) -> bool:
-    """Whether the compiled functions do what this network does: on a CPU, mean over angles."""
-    return (
-        net.norm_groups == {net.config.groups}
-        and net.config.angle_reduction == 'mean'
-        and net.project.weight.device.type == 'cpu'
-    )
+    F32 = NDArray[np.float32]
+    I32 = NDArray[np.int32]
+    I64 = NDArray[np.int64]
 
 
-@torch.no_grad()
-def encode(net: HybridRegNet, pyramid: Pyramid) -> Encoding:
-    """`HybridRegNet.encode`, compiled where that can be; what it keeps needs no operators."""
-    if not has_compiled_form(net):
-        return net.encode(pyramid)
-    config, weights, levels = net.config, weights_of(net), pyramid.levels
-    fine, coarse = backbone(
-        weights.backbone,
-        tuple(_operator(v.conv) for v in levels),
-        tuple(_operator(v.pool) for v in levels[:-1]),
-        tuple(_numbers(v.pool_index) for v in levels[:-1]),
-        tuple(_numbers(v.up_index) for v in levels[:-1]),
-        1 + config.extra_blocks,
-        config.fine_level,
-        config.groups,
-    )
-    bins = pyramid.geometry.numpy()
-    features = self_attention(coarse, bins, weights.transformer, 0, config.heads)
-    return Encoding(pyramid, torch.from_numpy(fine), torch.from_numpy(features))
+class Network:
+    """The network in use, on arrays.
 
-
-@torch.no_grad()
-def correlate(net: HybridRegNet, source: Encoding, target: Encoding) -> SuperpointOutput:
-    """`HybridRegNet.correlate`, compiled where that can be.
-
-    Raises:
-        RegistrationError: the encodings were made with different voxel sizes.
+    Attributes:
+        dustbin: score of a fine point without a partner.
     """
-    if not has_compiled_form(net):
-        return net.correlate(source, target)
-    net.check_voxels(source, target)
-    x, y, x_logits, y_logits = (
-        torch.from_numpy(found)
-        for found in _correlate(
-            source.superpoint_features.numpy(),
-            target.superpoint_features.numpy(),
-            source.pyramid.geometry.numpy(),
-            target.pyramid.geometry.numpy(),
-            weights_of(net).transformer,
-            net.config.blocks,
-            net.config.heads,
+
+    def __init__(self, config: ModelConfig, weights: Weights) -> None:
+        self._config, self._weights = config, weights
+        self.dustbin = weights.dustbin
+
+    def encode(self, pyramid: Pyramid) -> Encoding[F32]:
+        """Backbone, projection and first self-attention; what it keeps needs no operators."""
+        config, weights, levels = self._config, self._weights, pyramid.levels
+        fine, coarse = backbone(
+            weights.backbone,
+            tuple(_operator(v.conv) for v in levels),
+            tuple(_operator(v.pool) for v in levels[:-1]),
+            tuple(v.pool_index for v in levels[:-1]),
+            tuple(v.up_index for v in levels[:-1]),
+            1 + config.extra_blocks,
+            config.fine_level,
+            config.groups,
         )
-    )
-    return SuperpointOutput(x, y, x_logits, y_logits, sigma2_of(x_logits), sigma2_of(y_logits))
+        features = self_attention(coarse, pyramid.geometry, weights.transformer, 0, config.heads)
+        return Encoding(pyramid.encoded, fine, features)
+
+    def correlate(self, source: Encoding[F32], target: Encoding[F32]) -> SuperpointOutput[F32]:
+        """Transformer and mask head over the superpoints of two clouds.
+
+        Raises:
+            RegistrationError: the encodings were made with different voxel sizes.
+        """
+        check_voxels(source, target)
+        x, y, x_logits, y_logits = correlate(
+            source.superpoint_features,
+            target.superpoint_features,
+            source.pyramid.geometry,
+            target.pyramid.geometry,
+            self._weights.transformer,
+            self._config.blocks,
+            self._config.heads,
+        )
+        sigma2 = sigma2_of(x_logits), sigma2_of(y_logits)
+        return SuperpointOutput(x, y, x_logits, y_logits, *sigma2)
+
+    def static_logits(self, looks: F32, fine: F32, owners: Sequence[I64]) -> F32:
+        """Logits (N, 2) of P(static) and P(seen) of N points (`StaticHead.forward`)."""
+        pack = self._weights.static
+        assert pack is not None, 'these weights have no static head'
+        found: F32 = static_logits(pack, looks, fine, tuple(owners), self._config.fine_level)
+        return found
 
 
-def _operator(operator: KernelOperator | None) -> Operator:
+def _operator(operator: KernelOperator | None) -> tuple[I32, I32, F32]:
     assert operator is not None, 'this pyramid was stripped once it was encoded'
-    return operator.rows.numpy(), operator.columns.numpy(), operator.weights.numpy()
-
-
-def _numbers(index: torch.Tensor | None) -> NDArray[np.int32]:
-    assert index is not None, 'this pyramid was stripped once it was encoded'
-    found: NDArray[np.int32] = index.numpy()
-    return found
+    return operator.rows, operator.columns, operator.weights

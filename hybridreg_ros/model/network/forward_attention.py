@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The geometric transformer without gradients, compiled (reference: `attention.py`).
+"""The geometric transformer without gradients, compiled (twin: `reference/attention.py`).
 
 A layer is a few matrix products; look-up of the geometry, softmax and layer normalisation go
 through each row while it is in the cache.
@@ -70,7 +70,7 @@ def _attended(scores: F32, power: I32, scale: F32) -> None:
 
 
 @compiled_fast
-def _add_geometry(scores: F32, table: F32, bins: Bins) -> None:
+def add_geometry(scores: F32, table: F32, bins: Bins) -> None:
     """Add the score of the distance and the mean of those of the angles, in place.
 
     Args:
@@ -87,6 +87,30 @@ def _add_geometry(scores: F32, table: F32, bins: Bins) -> None:
             for k in range(1, 1 + angles):
                 total += own[np.uint64(at[m, k])]
             row[m] += own[np.uint64(at[m, 0])] + total * share
+
+
+@compiled_fast
+def _add_largest_geometry(scores: F32, asked: F32, table: F32, bins: Bins) -> None:
+    """Add the products of queries with rows of the geometry table, in place.
+
+    The row of a pair is that of its distance plus the largest of its angles, channel by channel.
+
+    Args:
+        scores: (S, S).
+        asked: (S, dim) queries of a head, turned as the rows of the table would be.
+        table: (B, dim).
+        bins: (S, S, 1 + A) rows of the table for every pair.
+    """
+    for n in range(scores.shape[0]):
+        for m in range(scores.shape[1]):
+            at = bins[n, m]
+            near, total = table[np.uint64(at[0])], _ZERO
+            for c in range(table.shape[1]):
+                top = table[np.uint64(at[1]), c]
+                for k in range(2, at.shape[0]):
+                    top = max(top, table[np.uint64(at[k]), c])
+                total += asked[n, c] * (near[c] + top)
+            scores[n, m] += total
 
 
 @compiled_fast
@@ -118,7 +142,7 @@ def linear(x: F32, pack: Pack, at: int) -> F32:
 
 
 @compiled
-def _rectify(x: F32) -> None:
+def rectify(x: F32) -> None:
     """ReLU of (N, C), in place."""
     for i in range(x.shape[0]):
         row = x[i]
@@ -128,17 +152,17 @@ def _rectify(x: F32) -> None:
 
 @compiled
 def _mixed(
-    of: F32, by: F32, first: int, bins: Bins, pack: Pack, at: int, heads: int, out: F32
+    of: F32, by: F32, geometry: bool, bins: Bins, pack: Pack, at: int, heads: int, out: F32
 ) -> None:
     """Values of one cloud mixed for the queries of another, or of the same, heads side by side.
 
     Args:
         of: (S, 3 dim) queries, keys and values of the cloud that asks.
         by: (T, 3 dim) of the cloud that is asked.
-        first: row of the layer's geometry table where the first head begins; below 0: none.
+        geometry: whether the layer has a geometry table.
         bins: (S, S, 1 + A) of the cloud, where there is geometry.
-        pack: of the transformer.
-        at: number of the geometry table in it.
+        pack: of the transformer; its last matrix is the table that all layers share, if any.
+        at: number of the layer's own table in it, or of what turns its queries.
         heads: of the attention.
         out: (S, dim), filled.
     """
@@ -153,9 +177,13 @@ def _mixed(
         k = np.ascontiguousarray(by[:, dim + low : dim + high].T)
         v = np.ascontiguousarray(by[:, 2 * dim + low : 2 * dim + high])
         np.dot(q, k, scores)
-        if first >= 0:
-            table = matrix(pack[0], pack[1], at)[first + low : first + high]
-            _add_geometry(scores, np.dot(q, table), bins)
+        if geometry:
+            asked = np.dot(q, matrix(pack[0], pack[1], at)[low:high])
+            shared = matrix(pack[0], pack[1], pack[1].shape[0] - 1)
+            if shared.shape[0]:
+                _add_largest_geometry(scores, asked, shared, bins)
+            else:
+                add_geometry(scores, asked, bins)
         _attended(scores, power, scale)
         out[:, low:high] = np.dot(scores, v)
 
@@ -167,7 +195,7 @@ def _finished(x: F32, mixed: F32, pack: Pack, at: int) -> F32:
     y = linear(mixed, pack, at + 2)
     z = _normalised(x, y, matrix(flat, shape, at + 4), matrix(flat, shape, at + 5))
     wide = linear(z, pack, at + 6)
-    _rectify(wide)
+    rectify(wide)
     y = linear(wide, pack, at + 8)
     out: F32 = _normalised(z, y, matrix(flat, shape, at + 10), matrix(flat, shape, at + 11))
     return out
@@ -178,7 +206,7 @@ def self_attention(x: F32, bins: Bins, pack: Pack, at: int, heads: int) -> F32:
     """Self-attention (S, dim) with the geometry of the cloud; `at`: first matrix of the layer."""
     z = linear(x, pack, at)
     mixed = np.empty_like(x)
-    _mixed(z, z, 0, bins, pack, at + PER_ATTENTION - 1, heads, mixed)
+    _mixed(z, z, True, bins, pack, at + PER_ATTENTION - 1, heads, mixed)
     out: F32 = _finished(x, mixed, pack, at)
     return out
 
@@ -190,22 +218,24 @@ def cross_attention(
     """Both clouds, (S, dim) and (T, dim), after each has looked at the other; no geometry."""
     zx, zy = linear(x, pack, at), linear(y, pack, at)
     mx, my = np.empty_like(x), np.empty_like(y)
-    _mixed(zx, zy, -1, bins, pack, at, heads, mx)
-    _mixed(zy, zx, -1, bins, pack, at, heads, my)
+    _mixed(zx, zy, False, bins, pack, at, heads, mx)
+    _mixed(zy, zx, False, bins, pack, at, heads, my)
     return _finished(x, mx, pack, at), _finished(y, my, pack, at)
 
 
 @compiled
-def _unit(x: F32) -> None:
-    """Rows (S, C) to unit length, in place."""
+def unit_rows(x: F32) -> F32:
+    """Rows (S, C) of unit length."""
+    out = np.empty_like(x)
     for i in range(x.shape[0]):
-        row = x[i]
+        row, to = x[i], out[i]
         total = _ZERO
         for c in range(x.shape[1]):
             total += row[c] * row[c]
         share = _ONE / max(np.sqrt(total), np.float32(1e-12))
         for c in range(x.shape[1]):
-            row[c] *= share
+            to[c] = row[c] * share
+    return out
 
 
 @compiled
@@ -216,7 +246,7 @@ def _logits(x: F32, crossed: F32, pack: Pack, at: int) -> F32:
     hidden = np.dot(x, weight[:dim])
     hidden += np.dot(crossed, weight[dim:])
     add_bias(hidden, matrix(flat, shape, at + 1))
-    _rectify(hidden)
+    rectify(hidden)
     out: F32 = linear(hidden, pack, at + 2)
     return out
 
@@ -239,7 +269,7 @@ def correlate(
     Returns:
         (S, dim) and (T, dim) unit features, (S, n) and (T, n) logits of the mask.
     """
-    at = 0
+    at = np.int64(0)  # not a literal, for which numba would compile all once more
     before_x, before_y = x, y
     for block in range(blocks):
         if block:
@@ -251,7 +281,5 @@ def correlate(
     cx, cy = cross_attention(before_x, before_y, x_bins, pack, at, heads)
     at += PER_ATTENTION
     x_logits, y_logits = _logits(before_x, cx, pack, at), _logits(before_y, cy, pack, at)
-    x, y = linear(x, pack, at + 4), linear(y, pack, at + 4)
-    _unit(x)
-    _unit(y)
+    x, y = unit_rows(linear(x, pack, at + 4)), unit_rows(linear(y, pack, at + 4))
     return x, y, x_logits, y_logits

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""KPConv-FPN without gradients in one compiled call (reference: `backbone.py`).
+"""KPConv-FPN without gradients in one compiled call (twin: `reference/backbone.py`).
 
 A residual block gathers a few hundred points at a time, so that what the kernel points gathered is
 still in the cache when the matrix product reads it; normalisation, skip connection and activation
@@ -9,6 +9,7 @@ walk through memory once.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,12 +35,16 @@ _GATHERED = 131_072
 
 
 @compiled_fast
-def _scale_and_shift(x: F32, gain: F32, bias: F32, groups: int) -> tuple[F32, F32]:
-    """What group normalisation over the points (N, C) multiplies with and adds, (C,) each."""
+def scale_and_shift(x: F32, gain: F32, bias: F32, groups: int) -> tuple[F32, F32, F32, F32]:
+    """What group normalisation over the points (N, C) multiplies with and adds, (C,) each.
+
+    And the mean of every channel's group and one over its standard deviation, (C,) each.
+    """
     n, channels = x.shape
-    width = channels // groups
+    width = channels // math.gcd(groups, channels)
     total, square = np.zeros(channels), np.zeros(channels)
     a, b = np.empty(channels, np.float32), np.empty(channels, np.float32)
+    means, rates = np.empty(channels, np.float32), np.empty(channels, np.float32)
     for first in range(0, n, _SUM_ROWS):  # short float32 sums, gathered in float64
         a[:] = np.float32(0.0)
         b[:] = np.float32(0.0)
@@ -51,21 +56,22 @@ def _scale_and_shift(x: F32, gain: F32, bias: F32, groups: int) -> tuple[F32, F3
         for c in range(channels):
             total[c] += a[c]
             square[c] += b[c]
-    for g in range(groups):
-        low, high = g * width, (g + 1) * width
+    for low in range(0, channels, width):
+        high = low + width
         mean = total[low:high].sum() / (n * width)
         variance = max(square[low:high].sum() / (n * width) - mean * mean, 0.0)
         rate = 1.0 / np.sqrt(variance + _EPSILON)
         for c in range(low, high):
             a[c] = gain[0, c] * rate
             b[c] = bias[0, c] - mean * a[c]
-    return a, b
+            means[c], rates[c] = mean, rate
+    return a, b, means, rates
 
 
 @compiled_fast
 def _normalise(x: F32, gain: F32, bias: F32, groups: int) -> None:
     """Group normalisation and leaky ReLU of (N, C), in place."""
-    scale, shift = _scale_and_shift(x, gain, bias, groups)
+    scale, shift, _, _ = scale_and_shift(x, gain, bias, groups)
     for i in range(x.shape[0]):
         row = x[i]
         for c in range(x.shape[1]):
@@ -74,7 +80,7 @@ def _normalise(x: F32, gain: F32, bias: F32, groups: int) -> None:
 
 
 @compiled_fast
-def _gather(x: F32, operator: Operator, entry: int, stop: int, low: int, out: F32) -> None:
+def gather(x: F32, operator: Operator, entry: int, stop: int, low: int, out: F32) -> None:
     """What the entries entry ... stop of a sparse operator gather; `out` begins with row `low`."""
     rows, columns, weights = operator
     out[:] = np.float32(0.0)
@@ -97,7 +103,7 @@ def _convolved(x: F32, operator: Operator, outputs: int, weight: F32) -> F32:
     for first in range(0, outputs, step):
         count = min(step, outputs - first)
         stop = np.searchsorted(operator[0], (first + count) * kernel)
-        _gather(x, operator, entry, stop, first * kernel, single[: count * kernel])
+        gather(x, operator, entry, stop, first * kernel, single[: count * kernel])
         np.dot(gathered[:count], weight, out[first : first + count])
         entry = stop
     return out
@@ -146,14 +152,14 @@ def _residual(
     z = _convolved(z, operator, outputs, matrix(flat, shape, at + 3))
     _normalise(z, matrix(flat, shape, at + 4), matrix(flat, shape, at + 5), groups)
     y: F32 = np.dot(z, matrix(flat, shape, at + 6))
-    scale, shift = _scale_and_shift(
+    scale, shift, _, _ = scale_and_shift(
         y, matrix(flat, shape, at + 7), matrix(flat, shape, at + 8), groups
     )
     kept = _largest(x, near) if near.shape[0] else x
     rate, add = np.ones(y.shape[1], np.float32), np.zeros(y.shape[1], np.float32)
     if shape[at + 9, 1]:
         kept = np.dot(kept, matrix(flat, shape, at + 9))
-        rate, add = _scale_and_shift(
+        rate, add, _, _ = scale_and_shift(
             kept, matrix(flat, shape, at + 10), matrix(flat, shape, at + 11), groups
         )
     _joined(y, scale, shift, kept, rate, add)
@@ -223,8 +229,9 @@ def backbone(
     none = np.zeros((0, 0), np.int32)
     x = _stem(convolutions[0], up_index[0].shape[0], matrix(flat, shape, 0))
     _normalise(x, matrix(flat, shape, 1), matrix(flat, shape, 2), groups)
-    x = _residual(x, convolutions[0], x.shape[0], none, pack, 3, groups)
-    at = 3 + PER_BLOCK
+    at = np.int64(3)  # not a literal, for which numba would compile all once more
+    x = _residual(x, convolutions[0], x.shape[0], none, pack, at, groups)
+    at += PER_BLOCK
     skips = [x]
     for level in range(len(pools)):
         near = pool_index[level]

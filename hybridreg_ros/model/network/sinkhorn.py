@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Sinkhorn iterations compiled for the CPU, for use without gradients (twin: `transport.py`)."""
+"""Sinkhorn iterations without gradients, compiled (twin: `reference/transport.py`)."""
 
 from __future__ import annotations
 

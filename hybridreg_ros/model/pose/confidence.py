@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from hybridreg_ros.model.network.estimators import PoseEstimate
-    from hybridreg_ros.model.network.network import MatchOutput
+    from hybridreg_ros.model.network.matching import MatchOutput
     from hybridreg_ros.model.pose.refine import Refinement
     from hybridreg_ros.model.pose.verify import Verified
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from torch.nn import functional
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.model.geometry.grid import cell_point, cosine, moved
 from hybridreg_ros.model.geometry.upsampling import upsample_to_level0
+from hybridreg_ros.model.network.forward_attention import unit_rows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from hybridreg_ros.model.encoded import EncodedCloud
     from hybridreg_ros.model.geometry.grid import Space
     from hybridreg_ros.model.geometry.views import View
-    from hybridreg_ros.model.network.network import Encoding, MatchOutput
+    from hybridreg_ros.model.network.matching import MatchOutput
+    from hybridreg_ros.model.network.output import Encoding
 
     F32 = NDArray[np.float32]
     F64 = NDArray[np.float64]
@@ -47,15 +48,14 @@ class CloudEvidence:
     features: F32
 
     @classmethod
-    def of(cls, encoding: Encoding, sigma2: F32) -> CloudEvidence:
+    def of(cls, encoding: Encoding[F32], sigma2: F32) -> CloudEvidence:
         """The evidence of an encoded cloud; sigma2: (S,) float32 of every superpoint."""
         pyramid = encoding.pyramid
         owner = np.arange(len(pyramid.levels[0].points))
         for level in pyramid.levels[: pyramid.fine_level]:
             assert level.up_index is not None
-            owner = level.up_index.cpu().numpy()[owner]
-        features = functional.normalize(encoding.fine_features, dim=1).cpu().numpy()
-        return cls(upsample_to_level0(pyramid, sigma2), owner, features)
+            owner = level.up_index[owner]
+        return cls(upsample_to_level0(pyramid, sigma2), owner, unit_rows(encoding.fine_features))
 
     @property
     def side(self) -> Side:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from hybridreg_ros.model.encoded import EncodedCloud
     from hybridreg_ros.model.geometry.grid import Space
     from hybridreg_ros.model.geometry.pyramid import Pyramid
-    from hybridreg_ros.model.network.network import MatchOutput
+    from hybridreg_ros.model.network.matching import MatchOutput
     from hybridreg_ros.model.pose.hypotheses import Candidates
 
     F32 = NDArray[np.float32]

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
 from hybridreg_ros.model.geometry.views import View, fits, intrusions
 from hybridreg_ros.model.network.descriptors import MATCH_TEMPERATURE, likely_pairs
@@ -31,8 +30,9 @@ if TYPE_CHECKING:
 
     from hybridreg_ros.model.encoded import EncodedCloud
     from hybridreg_ros.model.geometry.pyramid import Pyramid
-    from hybridreg_ros.model.network.network import Encoding
+    from hybridreg_ros.model.network.output import Encoding
 
+    F32 = NDArray[np.float32]
     F64 = NDArray[np.float64]
 
 _MATCHES = 300
@@ -64,7 +64,6 @@ class Verified:
             other.
         agreement: share of the descriptor matches that agree.
         matched: number of descriptor matches that agree.
-        hypotheses: number of poses compared.
     """
 
     V_target_source: F64
@@ -73,7 +72,6 @@ class Verified:
     lead: float
     agreement: float
     matched: int
-    hypotheses: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,31 +81,27 @@ class Proposals:
     Attributes:
         poses: (B, 4, 4) transforms, voxels.
         rank: (B,) rough score of each, larger = better.
-        hypotheses: number of poses they come from.
     """
 
     poses: F64
     rank: F64
-    hypotheses: int
 
 
 def view_of(pyramid: Pyramid) -> View:
     """A cloud's finest level, prepared for judging and refining poses."""
     sensor = -pyramid.origin_m / pyramid.voxel_size_m
-    return View.build(pyramid.levels[0].points.cpu().numpy(), pyramid.normals, sensor)
+    return View.build(pyramid.levels[0].points, pyramid.normals, sensor)
 
 
-def descriptor_matches(source: Encoding, target: Encoding) -> Candidates:
+def descriptor_matches(source: Encoding[F32], target: Encoding[F32]) -> Candidates:
     """The fine points most likely to be the same, whatever their superpoints, voxels."""
-    with torch.no_grad():
-        index, likelihood = likely_pairs(
-            source.fine_features, target.fine_features, _MATCHES, MATCH_TEMPERATURE
-        )
-    rows = index.numpy()
+    rows, likelihood = likely_pairs(
+        source.fine_features, target.fine_features, _MATCHES, MATCH_TEMPERATURE
+    )
     return Candidates(
-        source.pyramid.fine_points.cpu().numpy()[rows[:, 0]].astype(np.float64),
-        target.pyramid.fine_points.cpu().numpy()[rows[:, 1]].astype(np.float64),
-        likelihood.numpy().astype(np.float64),
+        source.pyramid.fine_points[rows[:, 0]].astype(np.float64),
+        target.pyramid.fine_points[rows[:, 1]].astype(np.float64),
+        likelihood.astype(np.float64),
     )
 
 
@@ -141,7 +135,6 @@ def _ranked(poses: F64, matches: Candidates, views: tuple[View, View]) -> Propos
     return Proposals(
         np.concatenate([poses, moved]),
         np.concatenate([rank, _rough_scores(moved, matches, (source, target))]),
-        len(poses),
     )
 
 
@@ -201,7 +194,6 @@ def verify(
         lead,
         float(matched / max(len(matches.weights), 1)),
         int(matched),
-        proposals.hypotheses + 1,
     )
 
 

@@ -5,21 +5,106 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 from torch import nn
 
-from hybridreg_ros.model.geometry.kernel import KernelOperator, aggregate, influence_sums
-from hybridreg_ros.model.network.fused import group_norm_act, neighbour_max
+from hybridreg_ros.core.jit import compiled
+from hybridreg_ros.model.network.forward_backbone import gather
+from hybridreg_ros.model.network.packed import middle_width
+from hybridreg_ros.model.reference.fused import group_norm_act, neighbour_max, tensor_of
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from hybridreg_ros.model.config import ModelConfig
+    from hybridreg_ros.model.geometry.kernel import KernelOperator
     from hybridreg_ros.model.geometry.pyramid import Pyramid
 
     Tensor = torch.Tensor
 
 SLOPE = 0.1
+
+
+@compiled
+def _weighted_rows(
+    x: NDArray[np.float32],
+    read: NDArray[np.int32],
+    write: NDArray[np.int32],
+    weights: NDArray[np.float32],
+    count: int,
+) -> NDArray[np.float32]:
+    """Rows `read` of x (·, C) times the weights, added up in rows `write` of (count, C)."""
+    out = np.empty((count, x.shape[1]), np.float32)
+    gather(x, (write, read, weights), 0, weights.shape[0], 0, out)
+    return out
+
+
+class _Aggregate(torch.autograd.Function):
+    """Sparse product on the CPU: compiled gather forward, compiled scatter backward."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, operator: KernelOperator) -> Tensor:
+        ctx.operator = operator
+        rows, columns, weights = _arrays(operator)
+        count = operator.outputs * operator.kernel_points
+        values = x.detach().contiguous().numpy()
+        return torch.from_numpy(_weighted_rows(values, columns, rows, weights, count))
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, None]:
+        if not ctx.needs_input_grad[0]:
+            return None, None
+        rows, columns, weights = _arrays(ctx.operator)
+        g = grads[0].contiguous().numpy()
+        return torch.from_numpy(
+            _weighted_rows(g, rows, columns, weights, ctx.operator.inputs)
+        ), None
+
+
+def _arrays(
+    operator: KernelOperator,
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
+    """Rows, columns and weights, whether they are arrays or tensors."""
+    return np.asarray(operator.rows), np.asarray(operator.columns), np.asarray(operator.weights)
+
+
+def aggregate(x: Tensor, operator: KernelOperator) -> Tensor:
+    """Features gathered by every kernel point.
+
+    Args:
+        x: (N, C) float32 input features.
+        operator: influence weights from N inputs to M outputs.
+
+    Returns:
+        (M, K * C) float32, ready for one matrix product with the (K * C, C_out) weights.
+    """
+    if x.device.type == 'cpu':
+        gathered = _Aggregate.apply(x.float(), operator)  # type: ignore[no-untyped-call]
+    else:
+        matrix = torch.sparse_coo_tensor(
+            torch.stack([tensor_of(a, x) for a in (operator.rows, operator.columns)]),
+            tensor_of(operator.weights, x),
+            (operator.outputs * operator.kernel_points, operator.inputs),
+            is_coalesced=True,
+        )
+        with torch.autocast(x.device.type, enabled=False):
+            gathered = matrix @ x.float()
+    return gathered.view(operator.outputs, -1)  # type: ignore[no-any-return]
+
+
+def influence_sums(operator: KernelOperator, like: Tensor) -> Tensor:
+    """What `aggregate` makes of ones: (M, K) float32, sum of the influences of every row.
+
+    Args:
+        operator: influence weights to M outputs.
+        like: a tensor on the device of the result.
+    """
+    sums = torch.zeros(operator.outputs * operator.kernel_points, device=like.device)
+    rows, weights = tensor_of(operator.rows, like), tensor_of(operator.weights, like)
+    return sums.index_add_(0, rows, weights).view(operator.outputs, -1)
 
 
 class Norm(nn.Module):
@@ -70,7 +155,7 @@ class Residual(nn.Module):
 
     def __init__(self, inputs: int, outputs: int, config: ModelConfig) -> None:
         super().__init__()
-        middle, groups = max(outputs // config.bottleneck, 8), config.groups
+        middle, groups = middle_width(outputs, config), config.groups
         self.reduce = Unary(inputs, middle, groups) if inputs != middle else nn.Identity()
         self.conv = KPConv(config.kernel_points, middle, middle)
         self.norm = Norm(middle, groups)
@@ -79,7 +164,7 @@ class Residual(nn.Module):
         if inputs != outputs:
             self.shortcut = Unary(inputs, outputs, groups, activate=False)
 
-    def forward(self, x: Tensor, operator: KernelOperator, pool: Tensor | None = None) -> Tensor:
+    def forward(self, x: Tensor, operator: KernelOperator, pool: Any = None) -> Tensor:
         """Features (N, C_in) to (M, C_out); `pool` (M, H): neighbours of a strided block."""
         y = self.expand(self.norm(self.conv(self.reduce(x), operator)))
         kept = x if pool is None else neighbour_max(x, pool)
@@ -120,7 +205,8 @@ class Backbone(nn.Module):
         """
         levels = pyramid.levels
         assert levels[0].conv is not None, 'this pyramid was stripped once it was encoded'
-        x = self.stem_norm(influence_sums(levels[0].conv) @ self.stem.weight)  # input: ones
+        ones = influence_sums(levels[0].conv, self.stem.weight)  # the input: ones
+        x = self.stem_norm(ones @ self.stem.weight)
         x = self.first(x, levels[0].conv)
         skips = [x]
         for i, (strided, blocks) in enumerate(zip(self.strided, self.stages, strict=True)):
@@ -131,5 +217,7 @@ class Backbone(nn.Module):
         fine = x
         for step, layer in enumerate(self.decoder):
             level = len(levels) - 2 - step
-            fine = layer(torch.cat([skips[level], fine[levels[level].up_index]], dim=1))
+            fine = layer(
+                torch.cat([skips[level], fine[tensor_of(levels[level].up_index, fine)]], dim=1)
+            )
         return fine, x

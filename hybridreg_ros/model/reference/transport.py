@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 import torch
 from torch import nn
 
-from hybridreg_ros.model.network.sinkhorn import log_assignments
+from hybridreg_ros.model.network.matching import MASKED
 
 if TYPE_CHECKING:
     Tensor = torch.Tensor
 
-MASKED = -1.0e4
 _TINY = 1e-30
 
 
@@ -40,9 +39,6 @@ class Transport(nn.Module):
         Returns:
             (P, K + 1, L + 1); masked entries are `MASKED`.
         """
-        fast = scores.device.type == 'cpu' and scores.dtype == torch.float32
-        if fast and not torch.is_grad_enabled():
-            return self._compiled(scores, row_mask, column_mask)
         padded, rows, columns = self._padded(scores, row_mask, column_mask)
         start = _first_round(padded, rows, columns)
         kernel = torch.exp(start)
@@ -53,13 +49,6 @@ class Transport(nn.Module):
         out = start + torch.log(u + _TINY)[:, :, None] + torch.log(v + _TINY)[:, None, :]
         real = (rows > 0)[:, :, None] & (columns > 0)[:, None, :]
         return out.masked_fill(~real, MASKED)
-
-    def _compiled(self, scores: Tensor, row_mask: Tensor, column_mask: Tensor) -> Tensor:
-        """The same without a gradient, in one walk over each matrix."""
-        arrays = (x.contiguous().numpy() for x in (scores, row_mask, column_mask))
-        return torch.from_numpy(
-            log_assignments(*arrays, float(self.dustbin), self.iterations, MASKED)
-        )
 
     def _padded(
         self, scores: Tensor, row_mask: Tensor, column_mask: Tensor

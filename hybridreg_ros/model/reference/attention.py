@@ -8,50 +8,19 @@ table; and q . (W r) = (q W) . r, so a query meets the table once and then only 
 
 from __future__ import annotations
 
-import math
-from operator import is_not
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import nn
 from torch.nn import functional
 
-from hybridreg_ros.model.network.fused import lookup_scores
+from hybridreg_ros.model.network.packed import bin_sinusoids
+from hybridreg_ros.model.reference.fused import lookup_scores, tensor_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from hybridreg_ros.model.config import ModelConfig
 
     Tensor = torch.Tensor
-
-
-def sinusoids(values: Tensor, dim: int) -> Tensor:
-    """Sine and cosine of values (N,) at dim / 2 frequencies from 1 down to 1e-4: (N, dim)."""
-    half = torch.arange(0, dim, 2, dtype=torch.float32, device=values.device)
-    phase = values[:, None] * torch.exp(half * (-math.log(10_000.0) / dim))
-    return torch.stack([torch.sin(phase), torch.cos(phase)], dim=2).flatten(1)
-
-
-class _Kept:
-    """A tensor that depends on others alone, made again only when one of them has changed.
-
-    With gradients it is made anew every time. Changes through `.data` go unseen, as they do for
-    autograd.
-    """
-
-    def __init__(self) -> None:
-        self.made: tuple[tuple[Tensor, ...], list[int], Tensor] | None = None
-
-    def get(self, make: Callable[[], Tensor], *of: Tensor) -> Tensor:
-        """What `make` returns, or returned for the same tensors `of` in their present version."""
-        if torch.is_grad_enabled() or any(x.is_inference() for x in of):
-            return make()
-        versions, made = [x._version for x in of], self.made
-        if made is None or versions != made[1] or any(map(is_not, of, made[0])):
-            with torch.inference_mode(False), torch.no_grad():
-                self.made = made = of, versions, make()
-        return made[2]
 
 
 class GeometryTable(nn.Module):
@@ -61,21 +30,14 @@ class GeometryTable(nn.Module):
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
-        distance = torch.arange(config.distance_bins) * config.distance_step
-        angle = torch.arange(config.angle_bins) * (180.0 / (config.angle_bins - 1))
-        phases = torch.cat([distance / config.sigma_distance, angle / config.sigma_angle_deg])
-        self.register_buffer('sinusoid', sinusoids(phases, config.dim), persistent=False)
+        waves = torch.from_numpy(bin_sinusoids(config))
+        self.register_buffer('sinusoid', waves, persistent=False)
         self.distance_bins = config.distance_bins
         self.distance = nn.Linear(config.dim, config.dim)
         self.angle = nn.Linear(config.dim, config.dim, bias=False)
-        self._kept = _Kept()
 
     def forward(self) -> Tensor:
         """(B, dim) embedding of every bin."""
-        of = self.sinusoid, self.distance.weight, self.distance.bias, self.angle.weight
-        return self._kept.get(self._embedded, *of)
-
-    def _embedded(self) -> Tensor:
         d, a = self.sinusoid[: self.distance_bins], self.sinusoid[self.distance_bins :]
         return torch.cat([self.distance(d), self.angle(a)])
 
@@ -140,15 +102,14 @@ class SelfLayer(_Attention):
         self.distance_bins = config.distance_bins
         # Without bias: a bias adds the same number to all scores of a query (softmax drops it).
         self.position = nn.Linear(config.dim, config.dim, bias=False)
-        self._kept = _Kept()
 
-    def forward(self, x: Tensor, table: Tensor, bins: Tensor) -> Tensor:
+    def forward(self, x: Tensor, table: Tensor, bins: Any) -> Tensor:
         """One layer.
 
         Args:
             x: (S, dim) features.
             table: (B, dim) of `GeometryTable`.
-            bins: (S, S, 1 + A) int16 rows of the table for every pair.
+            bins: (S, S, 1 + A) int16 rows of the table for every pair, array or tensor.
 
         Returns:
             (S, dim).
@@ -156,20 +117,7 @@ class SelfLayer(_Attention):
         q, k, v = self.projected(x)
         return self.finish(x, self.mixed(q, k, v, self.geometric_scores(q, table, bins)))
 
-    def both(
-        self, x: Tensor, y: Tensor, table: Tensor, x_bins: Tensor, y_bins: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """`forward` of two clouds, with their projections and feed-forward in one product each."""
-        z, n = torch.cat([x, y]), len(x)
-        q, k, v = self.projected(z)
-        parts = [
-            self.mixed(q[:, s], k[:, s], v[:, s], self.geometric_scores(q[:, s], table, bins))
-            for s, bins in ((slice(None, n), x_bins), (slice(n, None), y_bins))
-        ]
-        out = self.finish(z, torch.cat(parts))
-        return out[:n], out[n:]
-
-    def geometric_scores(self, q: Tensor, table: Tensor, bins: Tensor) -> Tensor:
+    def geometric_scores(self, q: Tensor, table: Tensor, bins: Any) -> Tensor:
         """Scores q . (W r) of all pairs by way of (q W) . table: (heads, S, S).
 
         Args:
@@ -179,28 +127,16 @@ class SelfLayer(_Attention):
         """
         W = self.position.weight.view(self.heads, self.width, -1)
         if self.reduction == 'max':  # a maximum per channel needs the pairwise rows themselves
-            rows = table[bins.long()]
+            rows = table[tensor_of(bins, q).long()]
             embedded = rows[:, :, 0] + rows[:, :, 1:].amax(dim=2)
             return torch.einsum('hnc,nmc->hnm', torch.bmm(q, W), embedded)
-        # (heads, width, B)
-        per_row = self._kept.get(lambda: torch.matmul(W, table.t()), self.position.weight, table)
-        return lookup_scores(torch.bmm(q, per_row), bins)
+        return lookup_scores(torch.bmm(q, torch.matmul(W, table.t())), bins)
 
 
 class CrossLayer(_Attention):
     """Attention of one cloud to the other."""
 
-    def forward(self, x: Tensor, y: Tensor) -> Tensor:
-        """Features (S, dim) that have looked at the features y (T, dim) of the other cloud."""
-        return self.both(x, y)[0]
-
-    def both(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         """Features (S, dim) and (T, dim) that have looked at each other."""
-        z, n = torch.cat([x, y]), len(x)
-        q, k, v = self.projected(z)
-        parts = [
-            self.mixed(q[:, :n], k[:, n:], v[:, n:]),
-            self.mixed(q[:, n:], k[:, :n], v[:, :n]),
-        ]
-        out = self.finish(z, torch.cat(parts))
-        return out[:n], out[n:]
+        (qx, kx, vx), (qy, ky, vy) = self.projected(x), self.projected(y)
+        return self.finish(x, self.mixed(qx, ky, vy)), self.finish(y, self.mixed(qy, kx, vx))

@@ -18,9 +18,6 @@ if TYPE_CHECKING:
 
     Tensor = torch.Tensor
 
-_BLOCK = 4096
-"""Points that are taken at a time."""
-
 
 class StaticHead(nn.Module):
     """What the other cloud says of a point, what it says around it, and what the network knows.
@@ -59,18 +56,13 @@ class StaticHead(nn.Module):
                 one above of every voxel.
             weight: (N,) of the points in the means; None: all alike.
         """
-        # In blocks that stay in the cache: fresh pages would take longer than the arithmetic.
-        points = [self.point(block).relu_() for block in torch.split(looks, _BLOCK)]
-        inside = torch.split(owners[0], _BLOCK)
-        sizes, means = [*map(len, owners[1:]), 1 + int(owners[-1].max())], []
+        points = self.point(looks).relu()
         count = looks.new_ones(len(looks)) if weight is None else weight
-        total = looks.new_zeros(sizes[0], self.point.out_features)
-        for x, owner, w in zip(points, inside, torch.split(count, _BLOCK), strict=True):
-            total = total.index_add(0, owner, x if weight is None else w[:, None] * x)
-        for level, size in enumerate(sizes):
-            if level:
-                total = total.new_zeros(size, total.shape[1]).index_add(0, owners[level], total)
-            count = count.new_zeros(size).index_add(0, owners[level], count)
+        total, means = count[:, None] * points, []
+        sizes = [*map(len, owners[1:]), 1 + int(owners[-1].max())]
+        for owner, size in zip(owners, sizes, strict=True):
+            total = total.new_zeros(size, total.shape[1]).index_add(0, owner, total)
+            count = count.new_zeros(size).index_add(0, owner, count)
             means.append(total / count.clamp_min(1e-6)[:, None])
         y: Tensor | None = None
         for level in range(len(means) - 1, -1, -1):
@@ -79,10 +71,7 @@ class StaticHead(nn.Module):
                 z = z + self.fine(fine)
             if y is not None:
                 z = z + self.above[level](y).index_select(0, owners[level + 1])
-            y = z.relu_()
-        around = self.around(y)
-        logits = [
-            self.output((self.own(x) + around.index_select(0, owner)).relu_())
-            for x, owner in zip(points, inside, strict=True)
-        ]
-        return torch.cat(logits)
+            y = z.relu()
+        around = self.around(y).index_select(0, owners[0])
+        logits: Tensor = self.output((self.own(points) + around).relu())
+        return logits

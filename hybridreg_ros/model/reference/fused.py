@@ -14,6 +14,8 @@ import torch
 from torch.nn import functional
 
 from hybridreg_ros.core.jit import compiled
+from hybridreg_ros.model.network.forward_attention import add_geometry
+from hybridreg_ros.model.network.forward_backbone import scale_and_shift
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,53 +24,31 @@ if TYPE_CHECKING:
     F32 = NDArray[np.float32]
 
 _EPSILON = 1e-5
-_BLOCK = 64
+
+
+def tensor_of(values: Any, like: Tensor) -> Tensor:
+    """An array or tensor as a tensor on the device of another, on the CPU without a copy."""
+    return torch.as_tensor(values, device=like.device)
 
 
 @compiled
 def _norm_forward(x: F32, gain: F32, bias: F32, groups: int, slope: float) -> tuple[F32, F32, F32]:
-    n, channels = x.shape
-    width = channels // groups
-    total, square = np.zeros(channels), np.zeros(channels)
-    for first in range(0, n, _BLOCK):  # short float32 sums, gathered in float64
-        a, b = np.zeros(channels, np.float32), np.zeros(channels, np.float32)
-        for i in range(first, min(first + _BLOCK, n)):
-            for c in range(channels):
-                v = x[i, c]
-                a[c] += v
-                b[c] += v * v
-        total += a
-        square += b
-    mean, rstd = np.empty(groups, np.float32), np.empty(groups, np.float32)
-    scale, shift = np.empty(channels, np.float32), np.empty(channels, np.float32)
-    for g in range(groups):
-        low, high = g * width, (g + 1) * width
-        m = total[low:high].sum() / (n * width)
-        variance = max(square[low:high].sum() / (n * width) - m * m, 0.0)
-        mean[g], rstd[g] = m, 1.0 / np.sqrt(variance + _EPSILON)
-        for c in range(low, high):
-            scale[c] = gain[c] * rstd[g]
-            shift[c] = bias[c] - mean[g] * scale[c]
-    y = np.empty((n, channels), np.float32)
-    k = np.float32(slope)
-    for i in range(n):
-        for c in range(channels):
+    scale, shift, mean, rate = scale_and_shift(x, gain, bias, groups)
+    y, k = np.empty_like(x), np.float32(slope)
+    for i in range(x.shape[0]):
+        for c in range(x.shape[1]):
             z = x[i, c] * scale[c] + shift[c]
             y[i, c] = max(z, np.float32(0.0)) + k * min(z, np.float32(0.0))
-    return y, mean, rstd
+    return y, mean, rate
 
 
 @compiled
 def _norm_backward(
-    g: F32, x: F32, y: F32, gain: F32, mean: F32, rstd: F32, slope: float
+    g: F32, x: F32, y: F32, gain: F32, centre: F32, rate: F32, groups: int, slope: float
 ) -> tuple[F32, F32, F32]:
     n, channels = x.shape
-    groups = mean.shape[0]
     width = channels // groups
     d_gain, d_bias = np.zeros(channels, np.float32), np.zeros(channels, np.float32)
-    centre, rate = np.empty(channels, np.float32), np.empty(channels, np.float32)
-    for c in range(channels):
-        centre[c], rate[c] = mean[c // width], rstd[c // width]
     k, one = np.float32(slope), np.float32(1.0)
     for i in range(n):
         for c in range(channels):
@@ -95,19 +75,17 @@ class _Norm(torch.autograd.Function):
         ctx: Any, x: Tensor, gain: Tensor, bias: Tensor, groups: int, slope: float
     ) -> Tensor:
         x = x.contiguous()
-        y, mean, rstd = _norm_forward(
-            x.detach().numpy(), gain.detach().numpy(), bias.detach().numpy(), groups, slope
-        )
+        rows = (v.detach().numpy()[None] for v in (gain, bias))
+        y, *statistics = _norm_forward(x.detach().numpy(), *rows, groups, slope)
         out = torch.from_numpy(y)
         ctx.save_for_backward(x, out, gain)
-        ctx.statistics = mean, rstd, slope
+        ctx.statistics = *statistics, groups, slope
         return out
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         x, y, gain = (t.detach().numpy() for t in ctx.saved_tensors)
-        mean, rstd, slope = ctx.statistics
-        parts = _norm_backward(grads[0].contiguous().numpy(), x, y, gain, mean, rstd, slope)
+        parts = _norm_backward(grads[0].contiguous().numpy(), x, y, gain, *ctx.statistics)
         return (*(torch.from_numpy(p) for p in parts), None, None)
 
 
@@ -156,8 +134,8 @@ def _max_backward(g: F32, arg: NDArray[np.int32], n: int) -> F32:
 
 class _NeighbourMax(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, x: Tensor, near: Tensor) -> Tensor:
-        out, arg = _max_forward(x.detach().contiguous().numpy(), near.numpy())
+    def forward(ctx: Any, x: Tensor, near: Any) -> Tensor:
+        out, arg = _max_forward(x.detach().contiguous().numpy(), np.asarray(near))
         ctx.arg, ctx.inputs = arg, x.shape[0]
         return torch.from_numpy(out)
 
@@ -167,12 +145,13 @@ class _NeighbourMax(torch.autograd.Function):
         return torch.from_numpy(_max_backward(g, ctx.arg, ctx.inputs)), None
 
 
-def neighbour_max(x: Tensor, near: Tensor) -> Tensor:
+def neighbour_max(x: Tensor, near: Any) -> Tensor:
     """Largest feature among the neighbours of each output point.
 
     Args:
         x: (N, C) features.
-        near: (M, H) int32 neighbours, padded with N; a row of padding gives zeros.
+        near: (M, H) int32 neighbours, array or tensor, padded with N; a row of padding gives
+            zeros.
 
     Returns:
         (M, C).
@@ -180,32 +159,20 @@ def neighbour_max(x: Tensor, near: Tensor) -> Tensor:
     if x.device.type == 'cpu':
         return _NeighbourMax.apply(x.float(), near)  # type: ignore[no-any-return,no-untyped-call]
     padded = torch.cat([x, x.new_full((1, x.shape[1]), -torch.inf)])
-    best = padded[near.long()].amax(dim=1)
+    best = padded[tensor_of(near, x).long()].amax(dim=1)
     return torch.where(torch.isinf(best), torch.zeros_like(best), best)
 
 
 @compiled
-def _lookup_forward(table: F32, bins: NDArray[np.int16], angles: bool) -> F32:
-    heads, s, _ = table.shape
-    count = bins.shape[2]
-    out = np.empty((heads, s, bins.shape[1]), np.float32)
-    share = np.float32(1.0 / max(count - 1, 1))
-    for n in range(s):
-        for h in range(heads):
-            row = table[h, n]
-            for m in range(bins.shape[1]):
-                v = row[np.uint64(bins[n, m, 0])]
-                if angles:
-                    a = np.float32(0.0)
-                    for k in range(1, count):
-                        a += row[np.uint64(bins[n, m, k])]
-                    v += a * share
-                out[h, n, m] = v
+def _lookup_forward(table: F32, bins: NDArray[np.int16]) -> F32:
+    out = np.zeros((table.shape[0], bins.shape[0], bins.shape[1]), np.float32)
+    for h in range(table.shape[0]):
+        add_geometry(out[h], table[h], bins)
     return out
 
 
 @compiled
-def _lookup_backward(g: F32, bins: NDArray[np.int16], rows: int, angles: bool) -> F32:
+def _lookup_backward(g: F32, bins: NDArray[np.int16], rows: int) -> F32:
     heads, s, others = g.shape
     count = bins.shape[2]
     out = np.zeros((heads, s, rows), np.float32)
@@ -214,42 +181,37 @@ def _lookup_backward(g: F32, bins: NDArray[np.int16], rows: int, angles: bool) -
         for h in range(heads):
             for m in range(others):
                 out[h, n, bins[n, m, 0]] += g[h, n, m]
-                if angles:
-                    a = g[h, n, m] * share
-                    for k in range(1, count):
-                        out[h, n, bins[n, m, k]] += a
+                for k in range(1, count):
+                    out[h, n, bins[n, m, k]] += g[h, n, m] * share
     return out
 
 
 class _Lookup(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, table: Tensor, bins: Tensor, angles: bool) -> Tensor:
-        ctx.bins, ctx.rows, ctx.angles = bins, table.shape[2], angles
-        return torch.from_numpy(
-            _lookup_forward(table.detach().contiguous().numpy(), bins.numpy(), angles)
-        )
+    def forward(ctx: Any, table: Tensor, bins: Any) -> Tensor:
+        ctx.bins, ctx.rows = np.asarray(bins), table.shape[2]
+        return torch.from_numpy(_lookup_forward(table.detach().contiguous().numpy(), ctx.bins))
 
     @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None]:
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
         g = grads[0].contiguous().numpy()
-        out = _lookup_backward(g, ctx.bins.numpy(), ctx.rows, ctx.angles)
-        return torch.from_numpy(out), None, None
+        return torch.from_numpy(_lookup_backward(g, ctx.bins, ctx.rows)), None
 
 
-def lookup_scores(table: Tensor, bins: Tensor) -> Tensor:
+def lookup_scores(table: Tensor, bins: Any) -> Tensor:
     """Geometric attention scores from per-query tables: distance term plus mean angle term.
 
     Args:
         table: (H, S, B) score of head h, query n with table row b.
-        bins: (S, S, 1 + A) int16 rows for every pair: one distance, A angles.
+        bins: (S, S, 1 + A) int16 rows for every pair, array or tensor: one distance, A angles.
 
     Returns:
         (H, S, S).
     """
     if table.device.type == 'cpu':
-        return _Lookup.apply(table.float(), bins, bins.shape[2] > 1)  # type: ignore[no-any-return,no-untyped-call]
+        return _Lookup.apply(table.float(), bins)  # type: ignore[no-any-return,no-untyped-call]
     heads, s, _ = table.shape
-    rows = bins.long().reshape(1, s, -1).expand(heads, s, -1)
+    rows = tensor_of(bins, table).long().reshape(1, s, -1).expand(heads, s, -1)
     values = table.gather(2, rows).view(heads, s, bins.shape[1], bins.shape[2])
     scores = values[..., 0]
     if bins.shape[2] > 1:

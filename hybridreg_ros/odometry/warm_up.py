@@ -24,20 +24,23 @@ WITHOUT_NETWORK = 'kiss-icp'
 _HALF_M = np.array([6.0, 4.0, 1.5])
 
 
-def warm_up(config: OdometryConfig, model: Any) -> Iterator[str]:
+def warm_up(config: OdometryConfig, model: Any, filled: bool = False) -> Iterator[str]:
     """Run the front end with each branch on a made-up room; yields what comes next, step by step.
 
     Args:
         config: settings of the front end.
         model: the network, None = there is none.
+        filled: all kernels are compiled: two scans of the branch of `model` load nearly all of it.
     """
-    for branch in (None, model) if model is not None else (None,):
+    for branch in (model,) if model is None or filled else (None, model):
         for timed in (False, True):
             front_end = HybridOdometry(config, model=branch)
-            for k in range(SCANS):
+            for k in range(2 if filled else SCANS):
                 name = 'network' if branch is not None else 'kiss-icp'
                 yield f'{name}, {"lidar" if timed else "depth camera"}, scan {k + 1} of {SCANS}'
                 front_end.step(_scan(k, timed))
+    if filled:
+        return
     whole = hasattr(model, 'register')
     if whole:
         yield 'registration of two clouds'

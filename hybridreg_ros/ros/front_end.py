@@ -73,7 +73,7 @@ def build_front_end(
             'compiling kernels, once after an installation or update (about a minute; '
             '`hybridreg warm-up` does it beforehand)'
         )
-    for step in warm_up(config, model):
+    for step in warm_up(config, model, filled):
         if not filled:
             say(f'compiling: {step}')
     return FrontEnd(HybridOdometry(config, model=model, motion=motion), text, has_weights)

@@ -13,12 +13,7 @@ from typing import TYPE_CHECKING
 from hybridreg_ros.model.network.forward_attention import correlate, self_attention
 from hybridreg_ros.model.network.forward_backbone import backbone
 from hybridreg_ros.model.network.forward_static import static_logits
-from hybridreg_ros.model.network.output import (
-    Encoding,
-    SuperpointOutput,
-    check_voxels,
-    sigma2_of,
-)
+from hybridreg_ros.model.network.output import Encoding, SuperpointOutput, check_voxels, sigma2_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

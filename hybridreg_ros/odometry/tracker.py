@@ -373,7 +373,7 @@ class Tracker:
             }
             self._adopt(keyframe, encoded)
             if self._learned is not None:
-                give_back()  # what the network took; after every scan it costs a tenth of a step
+                give_back()  # what the network took; the next scan takes most of it again
         watch.lap('map')
         return Update(dynamic, keyframe is not None, self._keyframe_id)
 

@@ -32,12 +32,13 @@ def warm_up(config: OdometryConfig, model: Any, filled: bool = False) -> Iterato
         model: the network, None = there is none.
         filled: all kernels are compiled: two scans of the branch of `model` load nearly all of it.
     """
+    scans = 2 if filled else SCANS
     for branch in (model,) if model is None or filled else (None, model):
         for timed in (False, True):
             front_end = HybridOdometry(config, model=branch)
-            for k in range(2 if filled else SCANS):
+            for k in range(scans):
                 name = 'network' if branch is not None else 'kiss-icp'
-                yield f'{name}, {"lidar" if timed else "depth camera"}, scan {k + 1} of {SCANS}'
+                yield f'{name}, {"lidar" if timed else "depth camera"}, scan {k + 1} of {scans}'
                 front_end.step(_scan(k, timed))
     if filled:
         return

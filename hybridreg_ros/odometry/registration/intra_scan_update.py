@@ -97,7 +97,7 @@ def moments(points, times, weights, R, t, kind, anchor, normal, var, scale, poin
     """Sums of the robust cost over powers of the time of each point.
 
     The unknowns are, per power, a shift (3,) of the position and a turn (3,) about the sensor, in
-    the axes of the map; residuals are weighted as in `align.normal_equations`.
+    the axes of the map; residuals are weighted as in `kernels.normal_equations`.
 
     Args:
         points: (N, 3) float64, sensor frame, as carried to the instant.

@@ -330,7 +330,8 @@ class Tracker:
         near = keyframes.to_match(pose)
         assert near is not None
         known = self._surroundings.setdefault(near.number, Surroundings(own))
-        around = known.carried(near.T_odom_keyframe, pose)
+        bias = covariance.DRIFT[self.sensor.kind]
+        around = known.carried(near.T_odom_keyframe, pose, bias)
         return around, min(1.0, keyframes.distance(near, pose))
 
     def _leg(self, found: Located, stamp: int) -> F64:

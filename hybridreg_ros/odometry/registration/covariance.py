@@ -31,11 +31,12 @@ _COASTING = 100.0
 """Growth of the covariance per frame whose pose is only predicted."""
 _WEAK = 0.5
 """Share of a direction that must lie in the space that nothing holds."""
-_DRIFT = np.repeat([0.002, 0.001], 3)
-"""Standard deviation of what the motion of a sensor is off by all the time, along and about each
-of its axes: m and rad per metre from a keyframe. Bent depth images, rings on few surfaces and
-loose normals pull every scan the same way. Likeliest for positions on development sequences
-(docs/lab/2026-11-29-drift.md)."""
+DRIFT = {'depth': np.repeat([0.004, 0.001], 3), 'lidar': np.repeat([0.001, 0.00025], 3)}
+"""Standard deviation of what the motion of a kind of sensor is off by all the time, along and
+about each of its axes: m and rad per metre from a keyframe. Bent depth images, rings on few
+surfaces and loose normals pull every scan the same way. Likeliest for positions on development
+sequences; of a lidar twice that, for what a simulated one does not have
+(docs/lab/2026-11-30-drift-by-sensor.md)."""
 
 
 def lost() -> F64:
@@ -121,13 +122,19 @@ class Surroundings:
         both: F64 = self.random + self.drift @ self.drift.T
         return both
 
-    def carried(self, start: F64, pose: F64) -> Surroundings:
-        """What is fixed to a pose (4, 4) of these surroundings, at another pose (4, 4)."""
+    def carried(self, start: F64, pose: F64, bias: F64) -> Surroundings:
+        """What is fixed to a pose (4, 4) of these surroundings, at another pose (4, 4).
+
+        Args:
+            start: the pose that it is fixed to.
+            pose: the other one.
+            bias: (6,) of the sensor, one of `DRIFT`.
+        """
         shift = pose[:3, 3] - start[:3, 3]
         lever, turn = np.eye(6), np.zeros((6, 6))
         lever[:3, 3:] = -se3.hat(shift)
         turn[:3, :3] = turn[3:, 3:] = pose[:3, :3]
-        drift = lever @ self.drift + np.linalg.norm(shift) * turn * _DRIFT
+        drift = lever @ self.drift + np.linalg.norm(shift) * turn * bias
         return Surroundings(lever @ self.random @ lever.T, drift)
 
 

@@ -279,14 +279,10 @@ class Worker:
 
         The next cloud is matched meanwhile; its pose waits for the map.
         """
-        import os
-
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 8)
         while (located := self._located.get()) is not None:
             message, rest = located
             result = rest()
-            if result.dynamic_probability[0] != -1:
-                self._publish(message, result)
+            self._publish(message, result)
             self._monitor.finished(result)
 
     def _tell_times(self, scan: Scan) -> None:

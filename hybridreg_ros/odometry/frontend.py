@@ -16,7 +16,7 @@ from hybridreg_ros.core.scan import NS_PER_S, units_note
 from hybridreg_ros.odometry import network_branch
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.intake import Intake
-from hybridreg_ros.odometry.load import QUICK, Load
+from hybridreg_ros.odometry.load import Load
 from hybridreg_ros.odometry.motion.prediction import Motion
 from hybridreg_ros.odometry.preprocess import preprocess, recognise_sensor
 from hybridreg_ros.odometry.registration import covariance
@@ -93,6 +93,11 @@ class HybridOdometry:
         return self._registrar is not None
 
     @property
+    def wants_newest(self) -> bool:
+        """Whether so much is left out that of waiting scans the newest should come next."""
+        return self._load.last.newest
+
+    @property
     def refused(self) -> Mapping[Reason, int]:
         """How many scans were refused for each reason since the start."""
         return self._intake.refused
@@ -144,12 +149,16 @@ class HybridOdometry:
         watch = Watch()
         cloud = preprocess(scan, tracker.sensor, self.config.preprocess, np.zeros(6))
         watch.lap('preprocess')
-        encoded = tracker.encode(cloud, QUICK)
+        encoded = tracker.encode(cloud, self._load.last.first_look)
         watch.lap('encode')
         return Prepared(tracker, scan, cloud, encoded, watch)
 
     def locate(
-        self, scan: Scan, behind: bool = False, prepared: Prepared | None = None
+        self,
+        scan: Scan,
+        behind: bool = False,
+        prepared: Prepared | None = None,
+        matched: Callable[[], object] = lambda: None,
     ) -> tuple[OdometryResult, Rest]:
         """Take one scan, in two parts: its pose at once, mask, map and keyframes afterwards.
 
@@ -162,6 +171,8 @@ class HybridOdometry:
             behind: whether later scans wait already, or were left out since the last one; then
                 less is done per scan for a while (`odometry/load.py`).
             prepared: it by `prepare`, if that was called; of no use after a reset.
+            matched: called when the scan has been matched and only its alignment is left: time to
+                `prepare` the next one. Not called where it comes to no match.
 
         Returns:
             What is known with the pose: `dynamic_probability` is 0 everywhere, and it is no
@@ -184,10 +195,11 @@ class HybridOdometry:
             return nothing, Rest(lambda: nothing)
         effort = self._load.effort(behind)
         stamp = scan.stamp + round(cloud.instant_s * NS_PER_S)
-        encoded = prepared.encoded if prepared else self._tracker.encode(cloud, QUICK)
+        encoded = prepared.encoded if prepared else self._tracker.encode(cloud, effort.first_look)
         watch.lap('encode')
         proposal = self._tracker.propose(cloud, encoded, stamp)
         watch.lap('match')
+        matched()
         self._finish()
         watch.resume()
         estimate = self._tracker.step(cloud, encoded, proposal, stamp, effort, watch)

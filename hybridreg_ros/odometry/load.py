@@ -20,23 +20,30 @@ class Effort:
         thorough: whether, while a pose is in doubt, the network looks again at the full budget and
             kiss-icp starts from other guesses; and whether the network says which points are
             static, beside the past.
+        first_look: budget of points at which the network looks first.
+        newest: whether of waiting clouds the newest is taken, else the one that waits longest.
     """
 
     level: int
     update_every: int
     thorough: bool
+    first_look: Budget
+    newest: bool
 
 
 QUICK = Budget(5_000, 100)
 """Budget of the first look. Seven lidar sequences at stride 1: the poses of 256 superpoints at
 half the cost (docs/lab/2026-11-29-step-time.md)."""
+HASTY = Budget(2_500, 64)
+"""Where the static head is not asked: the same poses, but too little for it
+(docs/lab/2026-11-30-live-at-its-own-pace.md)."""
 FULL = Budget()
 """Budget where the first look is not sure, and to find the pose again after a loss."""
 EFFORTS = (
-    Effort(0, 1, thorough=True),
-    Effort(1, 1, thorough=False),
-    Effort(2, 2, thorough=False),
-    Effort(3, 3, thorough=False),
+    Effort(0, 1, thorough=True, first_look=QUICK, newest=False),
+    Effort(1, 1, thorough=False, first_look=HASTY, newest=False),
+    Effort(2, 2, thorough=False, first_look=HASTY, newest=True),
+    Effort(3, 3, thorough=False, first_look=HASTY, newest=True),
 )
 """From all to least."""
 _CALM_SCANS = 20, 320
@@ -55,6 +62,11 @@ class Load:
         self._level = 0
         self._calm = 0
         self._patience = _CALM_SCANS[0]
+
+    @property
+    def last(self) -> Effort:
+        """Effort of the last scan."""
+        return EFFORTS[self._level]
 
     def effort(self, behind: bool) -> Effort:
         """Effort for the next scan.

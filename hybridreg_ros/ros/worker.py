@@ -90,7 +90,8 @@ class Worker:
         self._behind = False
         self._epoch = 0
         self._ready: queue.SimpleQueue[Ready | None] = queue.SimpleQueue()
-        self._taken = threading.Semaphore()
+        self._room = threading.Semaphore()
+        self._holds = False
         self._located: queue.SimpleQueue[tuple[Any, Rest] | None] = queue.SimpleQueue()
         self._threads = {work: self._new(work) for work in self._stages}
         self.configure(config)
@@ -134,16 +135,21 @@ class Worker:
             config.time_field,
             config.decode_points,
         )
-        gone = self._queue.configure(config.queue_depth, config.drop_policy == 'oldest')
+        self._sheds = config.drop_policy == 'oldest'
+        gone = self._queue.configure(config.queue_depth, self._sheds)
         if gone:
             self._monitor.dropped(Drop.QUEUE_FULL, 'queue_depth was reduced', gone)
 
     def submit(self, arrival: Arrival) -> None:
         """Queue a cloud; never blocks."""
-        gone = self._queue.put(arrival)
+        self._too_late(self._queue.put(arrival))
+
+    def _too_late(self, gone: int) -> None:
+        """Count clouds that had to make room for later ones."""
         if gone:
             self._behind = True
-            self._monitor.dropped(Drop.QUEUE_FULL, 'clouds come faster than they are processed')
+            text = 'clouds come faster than they are processed'
+            self._monitor.dropped(Drop.QUEUE_FULL, text, gone)
 
     @property
     def waiting(self) -> int:
@@ -193,16 +199,20 @@ class Worker:
     def _decode_all(self) -> None:
         """Decode clouds and prepare them.
 
-        The next one is taken when the pose of the last one is known: the newest then. Mask and map
-        of the last one are made meanwhile.
+        The next one is taken when the last one has been matched; when the front end is much
+        behind, the newest then. Pose, mask and map of the last one are made meanwhile.
         """
-        while self._taken.acquire() and (arrival := self._queue.get()) is not None:
+        while self._room.acquire():
+            if self._sheds and self._front_end.wants_newest:
+                self._too_late(self._queue.shed())
+            if (arrival := self._queue.get()) is None:
+                return
             ready = None
             try:
                 ready = self._decoded(arrival)
             finally:
                 if ready is None:
-                    self._taken.release()
+                    self._room.release()
             if ready is not None:
                 self._ready.put(ready)
 
@@ -230,6 +240,7 @@ class Worker:
         """Find the pose of each decoded cloud and publish it."""
         while (ready := self._ready.get()) is not None:
             self._behind |= self._queue.half_full
+            self._holds = True
             try:
                 with self._busy:
                     if ready.epoch == self._epoch:
@@ -237,14 +248,20 @@ class Worker:
                     else:
                         self._monitor.dropped(Drop.RESET, 'waiting while ~/reset was called')
             finally:
-                self._taken.release()
+                self._make_room()
+
+    def _make_room(self) -> None:
+        """Let the next cloud be decoded, once for each that is located."""
+        if self._holds:
+            self._holds = False
+            self._room.release()
 
     def _locate(self, ready: Ready) -> None:
         scan = ready.scan
         try:
             self._begin(scan)
             behind, self._behind = self._behind, False
-            result, rest = self._front_end.locate(scan, behind, ready.prepared)
+            result, rest = self._front_end.locate(scan, behind, ready.prepared, self._make_room)
         except HybridRegError as error:
             self._monitor.dropped(Drop.BAD_CLOUD, str(error))
             self._warn(Drop.BAD_CLOUD.value, str(error))

@@ -12,7 +12,7 @@ from tiny_world import lidar_rays, scans, walk
 
 from hybridreg_ros.odometry.config import OdometryConfig
 from hybridreg_ros.odometry.frontend import HybridOdometry
-from hybridreg_ros.odometry.load import EFFORTS, FULL, QUICK, Load
+from hybridreg_ros.odometry.load import EFFORTS, FULL, HASTY, QUICK, Load
 from hybridreg_ros.odometry.result import Source
 
 if TYPE_CHECKING:
@@ -44,7 +44,9 @@ def test_what_fails_again_and_again_is_tried_less_often() -> None:
 
 
 def test_each_level_does_less() -> None:
-    assert QUICK.max_superpoints < FULL.max_superpoints
+    assert HASTY.max_superpoints < QUICK.max_superpoints < FULL.max_superpoints
+    assert [e.first_look for e in EFFORTS] == [QUICK, HASTY, HASTY, HASTY]
+    assert [e.newest for e in EFFORTS] == [False, False, True, True]
     assert [e.update_every for e in EFFORTS] == [1, 1, 2, 3]
     assert [e.thorough for e in EFFORTS] == [True, False, False, False]
 
@@ -73,7 +75,7 @@ def test_behind_its_sensor_poses_stay_right_and_the_map_is_made_less_often() -> 
         assert odometry._tracker is not None
         updates.append(odometry._tracker._world.map.updates)
     assert [r.load for r in results] == [0, 0, 0, 1, 2] + [3] * 7
-    assert registrar.budgets == [QUICK]
+    assert registrar.budgets == [QUICK, HASTY]
     assert {r.source for r in results[1:]} == {Source.HYBRIDREG}
     assert updates[2] == 3
     assert 4 <= updates[-1] <= 4 + 1 + 8 // 3 + sum(r.is_keyframe for r in results[3:])

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,10 @@ def turn(roll: float, pitch: float, yaw: float) -> np.ndarray:
 
 
 def at_rest(imu, probe, until: int, shake: float = 0.0, gravity: float = 9.81) -> None:
-    """Publish two seconds of what an IMU in the lidar measures, the base being tilted."""
+    """Publish two seconds of what an IMU in the lidar measures, the base being tilted.
+
+    In 0.4 s: the node may see the publisher a little later than the publisher sees the node.
+    """
     rng = np.random.default_rng(0)
     up = T_BASE_LIDAR[:3, :3].T @ turn(ROLL, PITCH, 0.0).T @ [0.0, 0.0, 1.0]
     for stamp in range(until - 2_000_000_000, until + 1, 10_000_000):
@@ -55,6 +59,7 @@ def at_rest(imu, probe, until: int, shake: float = 0.0, gravity: float = 9.81) -
         a = msg.linear_acceleration
         a.x, a.y, a.z = map(float, force)
         imu.publish(msg)
+        time.sleep(0.002)
     probe.fresh()
 
 

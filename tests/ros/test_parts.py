@@ -91,6 +91,17 @@ class TestFrameQueue:
         assert queue.configure(2, keep_newest=True) == 3
         assert [queue.get(), queue.get()] == [3, 4]
 
+    @pytest.mark.parametrize(
+        ('depth', 'left'), [(1, [4]), (2, [4]), (4, [3, 4]), (9, [0, 1, 2, 3, 4])]
+    )
+    def test_sheds_the_oldest_half(self, depth, left):
+        queue = FrameQueue[int](depth)
+        for k in range(5):
+            queue.put(k)
+        waiting = len(queue)
+        assert queue.shed() == waiting - len(left)
+        assert [queue.get() for _ in left] == left
+
     def test_close_wakes_the_reader_and_refuses(self):
         queue = FrameQueue[int](3)
         seen: list[int | None] = []
@@ -307,28 +318,73 @@ class _Stumbling(HybridOdometry):
         return super().locate(scan, *rest)
 
 
-@pytest.mark.filterwarnings('ignore::pytest.PytestUnhandledThreadExceptionWarning')
-def test_a_bug_costs_one_cloud_and_is_an_error():
-    monitor, posed, published = Monitor(), [], []
+class _Behind(HybridOdometry):
+    """The real front end, so far behind that it wants the newest, held up in its first step."""
+
+    wants_newest = True
+    entered, go_on = threading.Event(), threading.Event()
+
+    def locate(self, scan, *rest):
+        self.entered.set()
+        self.go_on.wait(20.0)
+        return super().locate(scan, *rest)
+
+
+def run_worker(front_end, config, monitor, until, feed):
+    """Stamps, 0.1 s, of poses and of published clouds, until so many were published."""
+    posed, published = [], []
     worker = Worker(
-        _Stumbling(OdometryConfig(registrar='kiss-icp'), model=None),
-        NodeConfig(queue_depth=10),
+        front_end,
+        config,
         monitor,
         lambda _: None,
-        lambda result: posed.append(result.stamp),
-        lambda _, result: published.append(result.stamp),
+        lambda result: posed.append(result.stamp // 10**8),
+        lambda _, result: published.append(result.stamp // 10**8),
         lambda *_: None,
     )
     worker.start()
     points = np.random.default_rng(0).uniform(-5, 5, (3000, 3)).astype(np.float32)
-    for k in (1, 2, 3):
+
+    def submit(k):
         header = Header(stamp=to_time(k * 10**8), frame_id='lidar')
         worker.submit(Arrival(to_pointcloud2(from_arrays(points), header), monitor.arrived()))
+
+    feed(submit)
     end = time.monotonic() + 20.0
-    while len(published) < 2 and time.monotonic() < end:
+    while len(published) < until and time.monotonic() < end:
         time.sleep(0.01)
     worker.stop()
-    assert posed == published == [10**8, 3 * 10**8]
+    return posed, published
+
+
+def test_far_behind_the_newest_comes_next_and_the_others_are_counted():
+    monitor, config = Monitor(), NodeConfig(queue_depth=4)
+    front_end = _Behind(OdometryConfig(registrar='kiss-icp'), model=None)
+
+    def feed(submit):
+        submit(1)
+        assert front_end.entered.wait(20.0)
+        for k in range(2, 7):
+            submit(k)
+        front_end.go_on.set()
+
+    posed, published = run_worker(front_end, config, monitor, 3, feed)
+    assert posed == published == [1, 5, 6]
+    assert values(status(monitor.snapshot(), SETTING))['dropped.queue_full'] == '3'
+
+
+@pytest.mark.filterwarnings('ignore::pytest.PytestUnhandledThreadExceptionWarning')
+def test_a_bug_costs_one_cloud_and_is_an_error():
+    monitor = Monitor()
+    front_end = _Stumbling(OdometryConfig(registrar='kiss-icp'), model=None)
+    posed, published = run_worker(
+        front_end,
+        NodeConfig(queue_depth=10),
+        monitor,
+        2,
+        lambda submit: [submit(k) for k in (1, 2, 3)],
+    )
+    assert posed == published == [1, 3]
     found = status(monitor.snapshot(), SETTING)
     assert found.level == DiagnosticStatus.ERROR
     assert values(found)['dropped.internal_error'] == '1'

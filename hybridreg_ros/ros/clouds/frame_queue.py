@@ -55,6 +55,14 @@ class FrameQueue(Generic[T]):
             self._condition.wait_for(lambda: self._items or self._closed)
             return self._items.popleft() if self._items else None
 
+    def shed(self) -> int:
+        """Drop the oldest beyond half of what may wait; returns the number of items."""
+        with self._condition:
+            count = max(len(self._items) - (self._depth + 1) // 2, 0)
+            for _ in range(count):
+                self._items.popleft()
+            return count
+
     def clear(self) -> int:
         """Drop what waits; returns the number of items."""
         with self._condition:

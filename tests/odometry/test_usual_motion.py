@@ -102,14 +102,15 @@ def test_a_bend_that_is_known_is_not_taken_for_motion() -> None:
     local_map = LocalMap(0.15, 50.0)
     local_map.update(nod.undo(still, times), np.zeros(3))  # as if a nod had been undone
     points = sweep(lambda t: HERE, seed=3)[::20]  # the sensor stands
-    shared = np.array([nod.rate, nod.bend])
-    for usual in (UsualMotion(), UsualMotion(shared)):
+    rates = []
+    for usual in (UsualMotion(), UsualMotion(np.array([nod.rate, nod.bend]))):
         fit = align(points, np.eye(4), local_map, times=times[::20], usual=usual)
         found = fit.intra_scan
         assert found is not None
         assert found.rate[PITCH] < -0.2, 'as the map shows it'
         assert fit.overlap > 0.9
-    assert abs(usual.own(found).rate[PITCH]) < 0.1
+        rates.append(usual.own(found).rate[PITCH])
+    assert abs(rates[1]) < 0.1 < 0.5 * abs(rates[0])
 
 
 def test_where_no_scan_is_left_out_nothing_usual_is_asked() -> None:

@@ -116,7 +116,10 @@ class ScanContinuity:
             if cloud.usual is not None:
                 left = np.zeros((2, 6))
                 if self._last is not None:
-                    left = _left(*self._last, stamp, T_odom_sensor, moves)
+                    since, before, moved = self._last
+                    way = se3.log(se3.inverse(before) @ T_odom_sensor), 0.5 * (moves[0] - moved[0])
+                    # Mean over both scans beyond what the way between them shows.
+                    left = 0.5 * (moved + moves) - NS_PER_S * np.array(way) / (stamp - since)
                 self._usual = cloud.usual.after(intra_scan, left)
             self._last = stamp, T_odom_sensor, moves
         last = float(cloud.times.max())
@@ -125,20 +128,3 @@ class ScanContinuity:
         earlier = cloud.pose_at(last - _STEP_S, T_odom_sensor, intra_scan)
         twist = se3.log(se3.inverse(earlier) @ pose) / _STEP_S
         self._end = pose, twist, stamp + round(last * NS_PER_S)
-
-
-def _left(since: int, before: F64, moved: F64, stamp: int, pose: F64, moves: F64) -> F64:
-    """(2, 6) mean rate and bend within two scans beyond those of the way between them.
-
-    Args:
-        since: instant of the first, ns.
-        before: (4, 4) its pose.
-        moved: (2, 6) rate and bend within it.
-        stamp: instant of the second, ns.
-        pose: (4, 4) its pose.
-        moves: (2, 6) rate and bend within it.
-    """
-    seconds = (stamp - since) / NS_PER_S
-    way = se3.log(se3.inverse(before) @ pose), 0.5 * (moves[0] - moved[0])
-    left: F64 = 0.5 * (moved + moves) - np.array(way) / seconds
-    return left

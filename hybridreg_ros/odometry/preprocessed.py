@@ -16,6 +16,8 @@ from hybridreg_ros.odometry.motion.intra_scan_motion import IntraScanMotion
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from hybridreg_ros.odometry.motion.usual_motion import UsualMotion
+
 
 @dataclass(frozen=True, eq=False)
 class PreprocessedScan:
@@ -35,6 +37,8 @@ class PreprocessedScan:
         twist: (6,) velocity by which it was deskewed, sensor frame.
         times: (N,) seconds of each point after `instant_s`; None = only an even motion is undone.
         icp_share: share of the registered points that counts as independent, (0, 1].
+        usual: what earlier scans say of the motion within it, where nothing says how it begins
+            since scans were left out; else None.
     """
 
     points: NDArray[np.float32]
@@ -50,6 +54,7 @@ class PreprocessedScan:
     twist: NDArray[np.float64]
     times: NDArray[np.float64] | None
     icp_share: float = 1.0
+    usual: UsualMotion | None = None
 
     @property
     def map_points(self) -> NDArray[np.float32]:

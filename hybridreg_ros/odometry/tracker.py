@@ -151,6 +151,7 @@ class Tracker:
             return self._bad(stamp, Reason.TOO_FEW_POINTS)
         if len(self._world.map) == 0:
             return self._begin(cloud, encoded, stamp, Reason.FIRST_SCAN)
+        cloud = self._continuity.informed(cloud, self._motion.seconds_to(stamp))
         expected = self._continuity.expect(self._motion.expect(stamp), cloud, stamp)
         predicted, moves = expected.pose, self._world.dynamics.recalled
         trust = np.float32(1.0) - moves(cloud.icp_points, predicted)
@@ -268,6 +269,7 @@ class Tracker:
         intra_scan, reported = found.fit.intra_scan, None
         entered = cloud
         if intra_scan is not None:
+            intra_scan = intra_scan if cloud.usual is None else cloud.usual.own(intra_scan)
             cloud, reported = cloud.straightened(intra_scan), cloud.reported(pose, intra_scan)
         if was_lost:
             self._stop(stamp, pose)

@@ -43,12 +43,19 @@ class IntraScanMotion:
         """(6, 6) covariance, sensor frame, of `at` for what is not known of the motion."""
         if self.information is None:
             return np.zeros((6, 6))
-        unit = 1.0 / np.sqrt(np.maximum(np.diag(self.information), 1e-12))
-        scaled = self.information * np.outer(unit, unit) + 1e-9 * np.eye(18)
-        blocks = (np.linalg.inv(scaled) * np.outer(unit, unit))[6:, 6:].reshape(2, 6, 2, 6)
         powers = np.array([seconds, seconds**2])
+        blocks = self.covariance.reshape(2, 6, 2, 6)
         spread: F64 = np.einsum('a,aibj,b->ij', powers, blocks, powers)
         return spread
+
+    @property
+    def covariance(self) -> F64:
+        """(12, 12) covariance of rate and bend, by their information."""
+        assert self.information is not None
+        unit = 1.0 / np.sqrt(np.maximum(np.diag(self.information), 1e-12))
+        scaled = self.information * np.outer(unit, unit) + 1e-9 * np.eye(18)
+        covariance: F64 = (np.linalg.inv(scaled) * np.outer(unit, unit))[6:, 6:]
+        return covariance
 
     def undo(self, points: NDArray[Any], times: F64) -> NDArray[Any]:
         """Points (N, 3) measured at times (N,) after the instant, as seen at the instant."""

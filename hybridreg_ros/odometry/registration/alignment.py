@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from hybridreg_ros.odometry.map.local_map import LocalMap, VoxelLevel
     from hybridreg_ros.odometry.motion.prediction import Expected
+    from hybridreg_ros.odometry.motion.usual_motion import UsualMotion
     from hybridreg_ros.odometry.preprocessed import PreprocessedScan
 
     F64 = NDArray[np.float64]
@@ -32,6 +33,9 @@ _STILL = 0.03
 """The iteration ends when a step is smaller than this, in voxels."""
 _START, _SHRINK, _LEAST = 0.5, 0.6, 0.02
 """Robust scale on a coarser level at first, factor on it per iteration, and its floor, voxels."""
+_BENT = (0.32, 0.16, 0.08, 0.04)
+"""Robust scales, voxels, at which the motion within a scan is looked for first where nothing says
+how it begins: a sharp kernel keeps the points of the even motion."""
 _COARSE_POINTS = 1500
 """Points that are enough on a coarser level."""
 _LOOSE = 0.02
@@ -90,6 +94,7 @@ def align(
     basin: Basin = 'coarse',
     times: NDArray[np.float64] | None = None,
     prior: Expected | None = None,
+    usual: UsualMotion | None = None,
 ) -> Fit:
     """Align points with the map, from a first guess.
 
@@ -104,6 +109,8 @@ def align(
             the scan is found too.
         prior: pose that the motion so far expects, with a spread to which the information of the
             points is comparable; it holds what they leave loose. None = nothing is expected.
+        usual: what earlier scans say of the motion during the scan, where nothing says how it
+            begins; else None.
     """
     start = T_odom_sensor
     if basin != 'fine':
@@ -118,7 +125,7 @@ def align(
         if converged:  # it stands where it was paired last
             return _assessed(points, trust, T, surfaces, local_map)
         return assess(points, T, local_map, weights)
-    T, found = _with_intra_scan_motion(points, times, trust, T, local_map, prior)
+    T, found = _with_intra_scan_motion(points, times, trust, T, local_map, prior, usual)
     fit = assess(found.undo(points, times), T, local_map, weights)
     return replace(fit, intra_scan=found)
 
@@ -130,26 +137,27 @@ def _with_intra_scan_motion(
     T: NDArray[np.float64],
     local_map: LocalMap,
     prior: Expected | None,
+    usual: UsualMotion | None,
 ) -> tuple[NDArray[np.float64], IntraScanMotion]:
     """Pose and motion during the scan, from the pose of an even motion."""
     level, found, moved = local_map.fine, NO_INTRA_SCAN_MOTION, points
     surfaces, order = Surfaces(len(points)), _by_range(points)
     half_span = 0.5 * float(times.max() - times.min())
-    low = _LEAST * level.size_m
-    for _ in range(_INTRA_SCAN_ITERATIONS):
+    bent = () if usual is None else _BENT
+    for low in (*bent, *[_LEAST] * _INTRA_SCAN_ITERATIONS):
         surfaces.search(moved, T, local_map.of_surfaces, local_map.updates)
         lasting = by_age(trust, surfaces, local_map.age_s)
         step = 0.0
         for _ in range(2):
             surfaces.measure(moved, T)
-            scale = surfaces.scales(order, low, level.size_m)
+            scale = surfaces.scales(order, low * level.size_m, level.size_m)
             R, t, spread = T[:3, :3].copy(), T[:3, 3].copy(), (_POINT_SPREAD * level.size_m) ** 2
             pairs = surfaces.kind, surfaces.anchor, surfaces.normal, surfaces.variance, scale
             sums = intra_scan_update.moments(moved, times, lasting, R, t, *pairs, spread)
-            T, found, length = intra_scan_update.update(found, T, sums, half_span, prior)
+            T, found, length = intra_scan_update.update(found, T, sums, half_span, prior, usual)
             moved = found.undo(points, times)
             step = max(step, length)
-        if step < 0.02:
+        if step < 0.02 and low == _LEAST:
             break
     return se3.orthonormalise(T), found
 
@@ -426,5 +434,5 @@ def align_scan(
     share = cloud.icp_share
     held = None if prior is None else prior.widened(share**0.5, share**0.5)
     points, times = cloud.icp_points, cloud.icp_times
-    fit = align(points, T_odom_sensor, local_map, weights, basin, times, held)
+    fit = align(points, T_odom_sensor, local_map, weights, basin, times, held, cloud.usual)
     return replace(fit, information=share * fit.information)

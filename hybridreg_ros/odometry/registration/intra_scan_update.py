@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hybridreg_ros.odometry.motion.prediction import Expected
+    from hybridreg_ros.odometry.motion.usual_motion import UsualMotion
 
     F64 = NDArray[np.float64]
 
@@ -38,6 +39,7 @@ def update(
     sums: tuple[F64, F64],
     half_span_s: float,
     prior: Expected | None = None,
+    usual: UsualMotion | None = None,
 ) -> tuple[F64, IntraScanMotion, float]:
     """One Gauss-Newton step of pose and intra-scan motion.
 
@@ -47,6 +49,7 @@ def update(
         sums: as `moments` gives them.
         half_span_s: half the duration of the scan, seconds.
         prior: pose that the motion so far expects, or None.
+        usual: as in `align`.
 
     Returns:
         The pose (4, 4), the intra-scan motion, and the length of the step in units of what the
@@ -67,18 +70,20 @@ def update(
     if prior is not None and prior.turn_rate.any():
         turning = np.clip(_FOLLOW * prior.turn_rate, *_TURNING)
     spread = np.concatenate([np.full(3, _SPEED), turning])
-    for order, known in ((1, intra_scan.rate), (2, intra_scan.bend)):
-        weight = (half_span_s ** (order - 1) / spread) ** 2
-        rows = np.arange(6 * order, 6 * order + 6)
-        H[rows, rows] += weight
-        b[rows] += weight * known
+    weights = (np.array([[1.0], [half_span_s]]) / spread) ** 2
+    off = np.array([intra_scan.rate, intra_scan.bend])
+    if usual is not None:
+        off -= usual.shared
+        weights[:, 3:] = 1.0 / usual.variance(half_span_s, off[:, 3:])
+    H[np.arange(6, 18), np.arange(6, 18)] += weights.ravel()
+    b[6:] += (weights * off).ravel()
     if prior is not None and prior.start is not None:
         information, gradient = prior.start.pull(T_odom_sensor, intra_scan)
         H += information
         b += gradient
     step = solve(H, b)
     T = T_odom_sensor @ se3.transform(se3.so3_exp(step[3:6]), step[:3])
-    moved = float(np.abs(step[6:12] / spread).max())
+    moved = float((np.abs(step[6:12]) * np.sqrt(weights[0])).max())
     return T, IntraScanMotion(intra_scan.rate + step[6:12], intra_scan.bend + step[12:], H), moved
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""ScanContinuity: a scan of a spinning lidar begins where the one before it ended."""
+"""ScanContinuity: what earlier scans say of the motion within one of a spinning lidar."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.motion.prediction import Start
+from hybridreg_ros.odometry.motion.usual_motion import UsualMotion
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,19 +34,36 @@ _STEP_S = 0.01
 
 
 class ScanContinuity:
-    """Where the last scan ended."""
+    """Where the last scan ended, and how the sensor has turned within scans of late.
+
+    There are two states of knowledge. A scan that follows on the last one begins where that ended.
+    Where scans are left out, or after a pause, that says nothing, and the motion within the scan
+    is as it has been within other such scans.
+    """
 
     def __init__(self) -> None:
         self.forget()
 
     def forget(self) -> None:
         """Nothing is known of how the last scan ended."""
-        self._factor = _AT_FIRST
+        self._factor, self._usual = _AT_FIRST, UsualMotion()
         self.end()
 
     def end(self) -> None:
         """The last scan is in doubt or was not registered, so it is not continued."""
         self._end: tuple[F64, F64, int] | None = None
+        self._last: tuple[int, F64, F64] | None = None
+
+    def informed(self, cloud: PreprocessedScan, seconds: float) -> PreprocessedScan:
+        """A cloud with what earlier scans say of the motion within it, where scans are left out.
+
+        Args:
+            cloud: the preprocessed scan.
+            seconds: time since the last scan.
+        """
+        if cloud.times is None or seconds - float(np.ptp(cloud.times)) <= _GAP_S:
+            return cloud
+        return replace(cloud, usual=self._usual)
 
     def expect(self, expected: Expected, cloud: PreprocessedScan, stamp: int) -> Expected:
         """What is expected of a scan, with its start when the last one ended shortly before.
@@ -93,6 +111,17 @@ class ScanContinuity:
         """
         if cloud.times is None:
             return
+        if intra_scan is not None:
+            moves = np.array([cloud.rate(intra_scan), intra_scan.bend])
+            if cloud.usual is not None:
+                left = np.zeros((2, 6))
+                if self._last is not None:
+                    since, before, moved = self._last
+                    way = se3.log(se3.inverse(before) @ T_odom_sensor), 0.5 * (moves[0] - moved[0])
+                    # Mean over both scans beyond what the way between them shows.
+                    left = 0.5 * (moved + moves) - NS_PER_S * np.array(way) / (stamp - since)
+                self._usual = cloud.usual.after(intra_scan, left)
+            self._last = stamp, T_odom_sensor, moves
         last = float(cloud.times.max())
         self._factor = max(1.0, _EASED * self._factor)
         pose = cloud.pose_at(last, T_odom_sensor, intra_scan)

@@ -239,7 +239,7 @@ class HybridReg:
                 yield lambda: self._attempt(*clouds, finer_m)[0]
             yield lambda: exchanged(self.match(*encoded[::-1]))
             straight = in_order(*clouds)
-            for R in frames_of(*clouds):
+            for R in frames_of(*clouds, *(side.view.normals for side in encoded)):
                 yield partial(turned, R, straight)
 
         tried = islice(ways(), self.config.attempts - 1)

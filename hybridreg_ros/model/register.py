@@ -255,12 +255,11 @@ class HybridReg:
             source: (N, 3) source frame, metres, of which it is.
             target: (M, 3) target frame, metres.
         """
-        start = time.perf_counter()
+        start, timings = time.perf_counter(), dict(result.timings_s)
         clouds, voxel_m = (_as_cloud(source), _as_cloud(target)), 0.5 * result.voxel_size_m
         T = refined_finely(result.T_target_source, clouds, voxel_m, self.config)
-        spent = time.perf_counter() - start
-        more = {stage: result.timings_s.get(stage, 0.0) + spent for stage in ('refine', 'total')}
-        timings = {**result.timings_s, **more}
+        for stage in ('refine', 'total'):
+            timings[stage] += time.perf_counter() - start
         return dataclasses.replace(result, T_target_source=T, timings_s=timings)
 
     def _attempt(

@@ -29,6 +29,7 @@ from hybridreg_ros.data.loaders.clouds import read_cloud
 from hybridreg_ros.data.loaders.labelled import open_labelled
 from hybridreg_ros.data.loaders.openers import open_pairs
 from hybridreg_ros.data.loaders.posed_frames import recorded_pair
+from hybridreg_ros.metrics.registration import bootstrap_interval
 from hybridreg_ros.model.budget import Budget
 from hybridreg_ros.training.evaluate import evaluate, recorded_pairs
 from hybridreg_ros.training.moving import score_moving
@@ -52,6 +53,8 @@ CARS = (
 )
 KITTI = 'pairs_kitti10m'
 _TILT_DEG = 20.0
+_TURNS = 4
+"""Random turns of each pair."""
 
 
 def scored(model: HybridReg, pairs: Sequence[PointPair], text: str) -> list[PairScore]:
@@ -103,21 +106,21 @@ def turn_rows(
     pairs = [p for name in low for p in splits[name]]
     if not pairs:
         return []
-    rng = np.random.default_rng(0)
-    up = np.array([0.0, 0.0, 1.0])
-    yaws = [se3.so3_exp(a * up) for a in rng.uniform(-np.pi, np.pi, len(pairs))]
-    along = rng.uniform(-np.pi, np.pi, len(pairs))
-    tilts = [
-        se3.so3_exp(math.radians(_TILT_DEG) * np.array([np.cos(a), np.sin(a), 0])) for a in along
-    ]
+    many = pairs * _TURNS
+    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (2, len(many)))
+    yaws = [se3.so3_exp(np.array([0.0, 0.0, a])) for a in angles[0]]
+    tilt = math.radians(_TILT_DEG)
+    tilts = [se3.so3_exp(tilt * np.array([np.cos(a), np.sin(a), 0.0])) for a in angles[1]]
     as_they_are = np.array([s.right for name in low for s in scores[name]])
     rows = []
     for name, turns in (('any yaw', yaws), (f'tilt {_TILT_DEG:g} deg', tilts)):
-        moved = [turned(p, R) for p, R in zip(pairs, turns, strict=True)]
-        right = np.array([s.right for s in scored(model, moved, name)])
-        loss = 100 * float(as_they_are.mean() - right.mean())
-        note = f'{100 * as_they_are.mean():.0f} to {100 * right.mean():.0f} %, n = {len(pairs)}'
-        rows.append(Row(f'street-lomatch, {name}: loss in points of RR', loss, 2, 0, note, False))
+        moved = [turned(p, R) for p, R in zip(many, turns, strict=True)]
+        right = np.array([s.right for s in scored(model, moved, name)]).reshape(_TURNS, -1)
+        lost = 100.0 * (as_they_are - right.mean(axis=0))
+        low_end, high_end = bootstrap_interval(lost)
+        note = f'{low_end:.1f} to {high_end:.1f}, n = {len(pairs)}, {_TURNS} turns each'
+        text = f'street-lomatch, {name}: loss in points of RR'
+        rows.append(Row(text, float(lost.mean()), 2, 0, note, False))
     return rows
 
 

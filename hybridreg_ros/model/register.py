@@ -20,7 +20,7 @@ from hybridreg_ros.model.budget import voxel_size_m as chosen_voxel_m
 from hybridreg_ros.model.checkpoint import load_checkpoint, packaged_weights
 from hybridreg_ros.model.compact_memory import compacted
 from hybridreg_ros.model.encoded import EncodedCloud
-from hybridreg_ros.model.geometry.pyramid import build_pyramid, metric_transform, voxel_transform
+from hybridreg_ros.model.geometry.pyramid import build_pyramid, metric_transform
 from hybridreg_ros.model.geometry.upsampling import values_of_inputs
 from hybridreg_ros.model.network.estimators import judged
 from hybridreg_ros.model.network.forward import Network
@@ -29,7 +29,7 @@ from hybridreg_ros.model.network.output import check_voxels
 from hybridreg_ros.model.pose.confidence import PairCalibration, features_of
 from hybridreg_ros.model.pose.evidence import evidence_of, trusted_fit
 from hybridreg_ros.model.pose.posterior import posterior_sigma2
-from hybridreg_ros.model.pose.refine import refine
+from hybridreg_ros.model.pose.refine import refine, refined_finely
 from hybridreg_ros.model.pose.score import opinions_of
 from hybridreg_ros.model.pose.verify import proposals_of, verify, view_of
 from hybridreg_ros.model.result import Correspondences, RegistrationResult
@@ -176,6 +176,7 @@ class HybridReg:
             voxel = self._voxel_m(*clouds, budget=budget)
         first, encoded = self._attempt(*clouds, voxel)
         best = self.retry(first, encoded, *clouds, finer_m=full if full < voxel else None)
+        best = self.finely(best, *clouds)
         if not self.config.static_width:
             return best
         source_mask = self.point_mask(*encoded, best.T_target_source)
@@ -219,9 +220,6 @@ class HybridReg:
     ) -> RegistrationResult:
         """Further attempts at a pair for as long as there is doubt: the other way round, rotated.
 
-        Whichever attempt found it, the pose is refined on the voxels of the first, so that it
-        does not depend on the attempt beyond what the refinement cannot mend.
-
         Args:
             first: result of the first attempt; returned as it is when it is `config.sure`.
             encoded: source and target as they were matched in it.
@@ -241,14 +239,28 @@ class HybridReg:
                 yield lambda: self._attempt(*clouds, finer_m)[0]
             yield lambda: exchanged(self.match(*encoded[::-1]))
             straight = in_order(*clouds)
-            for R in frames_of(*clouds):
+            for R in frames_of(*clouds, *(side.view.normals for side in encoded)):
                 yield partial(turned, R, straight)
 
         tried = islice(ways(), self.config.attempts - 1)
-        best = most_confident(first, tried, self.config.sure)
-        if best.T_target_source is first.T_target_source:
-            return best
-        return dataclasses.replace(best, T_target_source=_refined(best.T_target_source, encoded))
+        return most_confident(first, tried, self.config.sure)
+
+    def finely(
+        self, result: RegistrationResult, source: ArrayLike, target: ArrayLike
+    ) -> RegistrationResult:
+        """A result with its pose aligned once more, on the points of half the voxel.
+
+        Args:
+            result: of `match` or `retry`.
+            source: (N, 3) source frame, metres, of which it is.
+            target: (M, 3) target frame, metres.
+        """
+        start, timings = time.perf_counter(), dict(result.timings_s)
+        clouds, voxel_m = (_as_cloud(source), _as_cloud(target)), 0.5 * result.voxel_size_m
+        T = refined_finely(result.T_target_source, clouds, voxel_m, self.config)
+        for stage in ('refine', 'total'):
+            timings[stage] += time.perf_counter() - start
+        return dataclasses.replace(result, T_target_source=T, timings_s=timings)
 
     def _attempt(
         self, source: NDArray[np.float32], target: NDArray[np.float32], voxel_size_m: float
@@ -347,13 +359,6 @@ class HybridReg:
             a.voxel_size_m,
             features,
         )
-
-
-def _refined(T_target_source: F64, encoded: Encoded) -> F64:
-    """A metric pose (4, 4) aligned on the voxels of two encoded clouds."""
-    (a, source), (b, target) = ((c.encoding.pyramid, c.view) for c in encoded)
-    found = refine(source, target, voxel_transform(T_target_source, a, b))
-    return metric_transform(found.V_target_source, a, b)
 
 
 def _as_cloud(points: ArrayLike) -> NDArray[np.float32]:

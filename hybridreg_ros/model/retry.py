@@ -17,7 +17,7 @@ import numpy as np
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import RegistrationError
-from hybridreg_ros.model.geometry.upright import upright
+from hybridreg_ros.model.geometry.upright import along_walls, upright
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -37,10 +37,11 @@ def _rotation(*degrees: float) -> F64:
 
 FRAMES = (
     _rotation(0.0, 0.0, 180.0),
+    _rotation(0.0, 0.0, 90.0),
     _rotation(20.0, 0.0, 0.0),
-    _rotation(0.0, 20.0, 0.0),
 )
-"""Rotations from the sensor frame to those of further attempts, in this order."""
+"""Rotations to the frames of further attempts, in this order, from the frame along the walls; the
+network has seen streets along x only, so one of the first two suits it better than the other."""
 
 NARROW_FRAMES = (
     _rotation(0.0, 0.0, 0.0),
@@ -50,18 +51,22 @@ NARROW_FRAMES = (
 """The same for sensors with a narrow view, from their upright frame."""
 
 
-def frames_of(source: F32, target: F32) -> tuple[F64, ...]:
+def frames_of(source: F32, target: F32, *normals: F32) -> tuple[F64, ...]:
     """Rotations (3, 3) from the sensor frame to those of the further attempts.
 
     Those of a narrow view turn with the clouds, so a pair has the same further attempts however
-    the camera is mounted; views all round are taken to be upright (z up, REP 103).
+    the camera is mounted; views all round are taken to be upright (z up, REP 103), and turn with
+    the walls about the vertical.
 
     Args:
         source: (N, 3) sensor frame, metres.
         target: (M, 3) likewise.
+        normals: (K, 3) unit normals of each cloud.
     """
     C = upright(source, target)
-    return FRAMES if C is None else tuple(R @ C for R in NARROW_FRAMES)
+    if C is None:
+        return tuple(R @ along_walls(*normals) for R in FRAMES)
+    return tuple(R @ C for R in NARROW_FRAMES)
 
 
 def in_order(source: F32, target: F32) -> bool:

@@ -236,14 +236,7 @@ class TrainConfig:
         0.0, 'wall-clock limit; the schedule ends with whichever comes first; 0 = none', low=0.0
     )
     seed: int = option(0, 'seed of weights, samples and augmentation', low=0, high=8_999_999)
-    optimizer: str = option('adamw', 'optimiser', choices=('adamw', 'muon'))
     lr: float = option(4e-4, 'maximum learning rate of AdamW', low=0.0, high=1.0)
-    muon_lr: float = option(
-        0.02,
-        'maximum learning rate of Muon, for the matrices (AdamW for the rest)',
-        low=0.0,
-        high=1.0,
-    )
     weight_decay: float = option(1e-4, 'decoupled weight decay', low=0.0, high=1.0)
     warmup: float = option(
         0.03, 'share of the run during which the learning rate rises', low=0.0, high=0.9

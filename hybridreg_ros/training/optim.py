@@ -19,41 +19,33 @@ if TYPE_CHECKING:
 
 
 class Optimizer:
-    """AdamW, or Muon for the matrices with AdamW for the rest; one learning-rate factor."""
+    """AdamW, without decay for vectors; one learning-rate factor."""
 
     def __init__(self, model: nn.Module, config: TrainConfig) -> None:
-        named = [(n, p) for n, p in model.named_parameters() if p.requires_grad]
-        matrices = [p for _, p in named if config.optimizer == 'muon' and p.ndim == 2]
-        chosen = {id(p) for p in matrices}
-        others = [p for _, p in named if id(p) not in chosen]
+        own = [p for p in model.parameters() if p.requires_grad]
         groups = [
-            {'params': [p for p in others if p.ndim >= 2], 'weight_decay': config.weight_decay},
-            {'params': [p for p in others if p.ndim < 2], 'weight_decay': 0.0},
+            {'params': [p for p in own if p.ndim >= 2], 'weight_decay': config.weight_decay},
+            {'params': [p for p in own if p.ndim < 2], 'weight_decay': 0.0},
         ]
         groups = [g for g in groups if g['params']]
-        self._parts: list[tuple[torch.optim.Optimizer, float]] = []
-        if groups:
-            self._parts.append((torch.optim.AdamW(groups, lr=config.lr, fused=True), config.lr))
-        if matrices:
-            muon = torch.optim.Muon(matrices, lr=config.muon_lr, weight_decay=config.weight_decay)
-            self._parts.append((muon, config.muon_lr))
+        self._lr = config.lr
+        self._adamw = torch.optim.AdamW(groups, lr=config.lr, fused=True)
 
     def step(self, factor: float) -> None:
-        """One update with the learning rates scaled by `factor`; gradients are cleared."""
-        for part, lr in self._parts:
-            for group in part.param_groups:
-                group['lr'] = lr * factor
-            part.step()
-            part.zero_grad(set_to_none=True)
+        """One update with the learning rate scaled by `factor`; gradients are cleared."""
+        for group in self._adamw.param_groups:
+            group['lr'] = self._lr * factor
+        self._adamw.step()
+        self._adamw.zero_grad(set_to_none=True)
 
     def state_dict(self) -> list[dict[str, Any]]:
-        """State of every part."""
-        return [part.state_dict() for part, _ in self._parts]
+        """Its state, the only one of the list."""
+        return [self._adamw.state_dict()]
 
     def load_state_dict(self, states: list[dict[str, Any]]) -> None:
         """Inverse of `state_dict`."""
-        for (part, _), state in zip(self._parts, states, strict=True):
-            part.load_state_dict(state)
+        (state,) = states
+        self._adamw.load_state_dict(state)
 
 
 class Average:

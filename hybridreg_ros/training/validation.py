@@ -177,6 +177,7 @@ def pair_score(model: HybridReg, held: HeldOut) -> PairScore:
         sample.pair.target,
         finer_m=full_m if full_m < sample.source.voxel_size_m else None,
     )
+    result = model.finely(result, sample.pair.source, sample.pair.target)
     seconds = time.perf_counter() - began
     coarse = model.net.correlate(source.encoding, target.encoding)
     return score_of(sample, (first, result), coarse, model.config, seconds)

@@ -56,6 +56,7 @@ def test_result_of_a_shifted_copy(model: HybridReg, room: np.ndarray) -> None:
 def test_register_equals_encode_and_match(model: HybridReg, room: np.ndarray) -> None:
     a, b = model.encode(room, 0.05), model.encode(room + SHIFT_M, 0.05)
     one, two = model.match(a, b), model.register(room, room + SHIFT_M, 0.05)
+    one = model.finely(one, room, room + SHIFT_M)
     np.testing.assert_array_equal(one.T_target_source, two.T_target_source)
     np.testing.assert_array_equal(one.source_uncertainty, two.source_uncertainty)
     assert one.confidence == two.confidence
@@ -230,6 +231,21 @@ def test_refinement_ignores_what_moved(room: np.ndarray) -> None:
     source = _view(voxels + moving[:, None] * np.array([0, 4.0, 0], np.float32))
     refined = refine(source, _view(voxels), se3.exp(np.array([0.5, 0.3, 0.2, 0.01, 0, 0.01])))
     np.testing.assert_allclose(refined.V_target_source[:3, 3], 0.0, atol=0.1)
+
+
+def test_last_alignment_is_finer_than_the_voxels(
+    model: HybridReg, room: np.ndarray, rng: np.random.Generator
+) -> None:
+    """Two noisy clouds without a point in common, a pose that is off by a quarter of a voxel."""
+    noisy = room + rng.normal(0.0, 0.003, room.shape).astype(np.float32)
+    source, target = noisy[::2], noisy[1::2] + SHIFT_M
+    true = se3.transform(np.eye(3), SHIFT_M.astype(float))
+    off = se3.exp(np.array([0.02, -0.015, 0.01, 0.004, 0.0, -0.004])) @ true
+    rough = model.match(model.encode(source, 0.1), model.encode(target, 0.1))
+    fine = model.finely(dataclasses.replace(rough, T_target_source=off), source, target)
+    moved = se3.apply(fine.T_target_source, room) - se3.apply(true, room)
+    assert np.sqrt((moved**2).sum(axis=1).mean()) < 0.004
+    assert fine.confidence == rough.confidence
 
 
 def test_posterior_uncertainty_follows_the_pose(room: np.ndarray) -> None:

@@ -83,14 +83,24 @@ def cone(seed: int, count: int = 400) -> np.ndarray:
     return np.column_stack([rays * depth[:, None], depth]).astype(np.float32)
 
 
-def test_frames_turn_with_a_narrow_view_and_stay_for_a_view_all_round() -> None:
+def test_frames_turn_with_a_narrow_view_and_a_view_all_round_with_its_walls() -> None:
     source, target = cone(0), cone(1)
     Q = se3.so3_exp(np.array([1.0, -0.5, 2.0]))
     straight = frames_of(source, target)
     for R, turned in zip(straight, frames_of(rotated(source, Q), rotated(target, Q)), strict=True):
         np.testing.assert_allclose(turned @ Q, R, atol=1e-3)
     around = np.concatenate([source, source * [1, 1, -1]]).astype(np.float32)
-    assert frames_of(around, around) is FRAMES
+    # mostly walls along x, ground, and something round: the angle is known up to right angles
+    normals = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1], [0.6, 0.8, 0]], np.float32).repeat(
+        5, axis=0
+    )
+    normals = np.concatenate([normals, normals[:5]])
+    first = frames_of(around, around, normals)[0]
+    for yaw in (0.3, 1.2, -2.0):
+        Q = se3.so3_exp(np.array([0.0, 0.0, yaw]))
+        again = frames_of(rotated(around, Q), rotated(around, Q), rotated(normals, Q))[0]
+        angle = se3.rotation_angle_deg(again @ Q @ first.T)
+        assert abs((angle + 45.0) % 90.0 - 45.0) < 0.1
 
 
 def test_order_depends_on_neither_roles_nor_rotation() -> None:

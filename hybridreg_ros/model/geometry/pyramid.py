@@ -151,13 +151,7 @@ def build_pyramid(
         RegistrationError: fewer than 3 points, one single voxel, or coordinates too large for
             the voxel size.
     """
-    points = np.ascontiguousarray(points_m, dtype=np.float32)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise RegistrationError(f'points: expected (N, 3), found {points.shape}')
-    finite = ops.finite_rows(points)
-    grids, owner, origin = _grids(points[finite], voxel_size_m, config)
-    input_to_level0 = np.full(len(points), -1, np.int32)
-    input_to_level0[finite] = owner
+    grids, input_to_level0, origin = _grids(points_m, voxel_size_m, config)
     levels, normals = _levels(grids, config)
     fine, super_ = grids[config.fine_level].points, grids[-1].points
     patch = CellList.build(fine, config.patch_radius / 2.0).search(
@@ -176,6 +170,23 @@ def build_pyramid(
     )
 
 
+def surface(
+    points_m: NDArray[np.float32], voxel_size_m: float, config: ModelConfig
+) -> tuple[F32, F32, NDArray[np.float64]]:
+    """What a pyramid of that voxel has on its finest level alone.
+
+    Arguments and errors are those of `build_pyramid`.
+
+    Returns:
+        Points (N, 3) float32, finest voxels, their unit normals (N, 3), zero where there is no
+        surface, and the origin (3,) of the points in the sensor frame, metres.
+    """
+    grids, _, origin = _grids(points_m, voxel_size_m, config)
+    points = grids[0].points
+    near = CellList.build(points, config.radius).search(points, config.radius, config.neighbours)
+    return points, surface_normals(points, near), origin
+
+
 @dataclass(frozen=True, eq=False)
 class _Level:
     """Voxel barycentres (N, 3), sorted Morton keys, and the owner of each point of last level."""
@@ -186,9 +197,14 @@ class _Level:
 
 
 def _grids(
-    points: NDArray[np.float32], voxel_size_m: float, config: ModelConfig
+    points_m: NDArray[np.float32], voxel_size_m: float, config: ModelConfig
 ) -> tuple[list[_Level], NDArray[np.int32], NDArray[np.float64]]:
-    """Barycentres of all levels, the finest point of every input, and the origin in metres."""
+    """Barycentres of all levels, `Pyramid.input_to_level0`, and the origin in metres."""
+    every = np.ascontiguousarray(points_m, dtype=np.float32)
+    if every.ndim != 2 or every.shape[1] != 3:
+        raise RegistrationError(f'points: expected (N, 3), found {every.shape}')
+    finite = ops.finite_rows(every)
+    points = every[finite]
     if not (np.isfinite(voxel_size_m) and voxel_size_m > 0.0):
         raise RegistrationError(f'voxel_size_m: expected > 0, found {voxel_size_m}')
     if len(points) < MIN_POINTS:
@@ -224,7 +240,9 @@ def _grids(
         if level == config.levels - 1:
             grid = _thin(grid, config.max_superpoints)
         grids.append(grid)
-    return grids, grids[0].owner, first * voxel_size_m
+    input_to_level0 = np.full(len(every), -1, np.int32)
+    input_to_level0[finite] = grids[0].owner
+    return grids, input_to_level0, first * voxel_size_m
 
 
 def _merge(

@@ -1,6 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The frame that a sensor with a narrow view would have if it were mounted upright.
+"""Frames that are found from the clouds: upright, and along the walls.
+
+The first is that which a sensor with a narrow view would have if it were mounted upright.
 
 It is found from the clouds alone, so it turns with them: whatever is done in it is the same for
 every way in which the sensor is mounted. A view all round says nothing about its frame (measured
@@ -12,6 +14,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from hybridreg_ros.core import se3
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -49,6 +53,18 @@ def upright(source: F32, target: F32) -> F64 | None:
     farther = sum(_slope(directions, ranges) for directions, ranges in rays) @ y
     y = -y if farther > 0.0 else y
     R: F64 = np.stack([np.cross(y, z), y, z])
+    return R
+
+
+def along_walls(*normals: F32) -> F64:
+    """Rotation (3, 3) about z, by at most 45 degrees, after which walls lie along x or y.
+
+    Args:
+        normals: (N, 3) unit normals of each cloud, z up; those of the ground count nothing.
+    """
+    across = np.concatenate([n[:, 0] + 1j * n[:, 1] for n in normals]).astype(np.complex128)
+    quarter = float(np.angle((across**4).sum())) / 4.0  # the same for walls at right angles
+    R: F64 = se3.so3_exp(np.array([0.0, 0.0, -quarter]))
     return R
 
 

@@ -4,26 +4,31 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hybridreg_ros.core import se3
+from hybridreg_ros.model.geometry.pyramid import surface
+from hybridreg_ros.model.geometry.views import View
 from hybridreg_ros.model.pose.plane_icp import aligned_both_ways, contacts
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hybridreg_ros.model.geometry.views import View
+    from hybridreg_ros.model.config import ModelConfig
 
+    F32 = NDArray[np.float32]
     F64 = NDArray[np.float64]
 
 _POINTS, _FEW_POINTS = 2500, 1000
 _FIRST_STAGES = (('wide', 3.0, 6), ('grid', 1.5, 8))
 _LAST_STAGES = (('grid', 0.8, 8),)
+_FINER_STAGES = (('grid', 1.0, 8),)
 """Grid of the views, radius beyond which points are ignored, voxels, and rounds; on few points
-until the pose is near."""
+until the pose is near, on all of the finer views."""
 _OVERLAP_RADIUS = 1.0
 _MAX_SHIFT_VOXELS = 8.0
 _MAX_TURN_DEG = 15.0
@@ -52,7 +57,7 @@ class Refinement:
     support: int
 
 
-def refine(source: View, target: View, V_target_source: F64) -> Refinement:
+def refine(source: View, target: View, V_target_source: F64, near: bool = False) -> Refinement:
     """Align the source with the target, starting from a match.
 
     Both clouds are drawn to each other. Every point takes part, and those without a surface within
@@ -62,11 +67,15 @@ def refine(source: View, target: View, V_target_source: F64) -> Refinement:
         source: moving cloud, voxels.
         target: fixed cloud, voxels.
         V_target_source: (4, 4) start, voxels.
+        near: the start is within a voxel, and all that the views test takes part.
     """
-    moving, fixed = source.resampled(_POINTS), target.resampled(_POINTS)
-    few = source.resampled(_FEW_POINTS), target.resampled(_FEW_POINTS)
-    V = aligned_both_ways(V_target_source, *few, _FIRST_STAGES)
-    V = se3.orthonormalise(aligned_both_ways(V, moving, fixed, _LAST_STAGES))
+    moving, fixed, V = source, target, V_target_source
+    if not near:
+        moving, fixed = source.resampled(_POINTS), target.resampled(_POINTS)
+        few = source.resampled(_FEW_POINTS), target.resampled(_FEW_POINTS)
+        V = aligned_both_ways(V, *few, _FIRST_STAGES)
+    stages = _FINER_STAGES if near else _LAST_STAGES
+    V = se3.orthonormalise(aligned_both_ways(V, moving, fixed, stages))
     before, after = _contact(moving, target, V_target_source), _contact(moving, target, V)
     centre = moving.sample.mean(axis=0, dtype=np.float64)
     difference = V - V_target_source
@@ -88,6 +97,32 @@ def refine(source: View, target: View, V_target_source: F64) -> Refinement:
         bool(accepted),
         kept.count,
     )
+
+
+def refined_finely(
+    T_target_source: F64, clouds: tuple[F32, F32], voxel_size_m: float, config: ModelConfig
+) -> F64:
+    """A refined pose (4, 4), metres, aligned once more on all points of smaller voxels.
+
+    Args:
+        T_target_source: (4, 4) start, metres, right within `voxel_size_m`.
+        clouds: (N, 3) and (M, 3) float32, source and target, metres.
+        voxel_size_m: metres per voxel of this alignment.
+        config: of the neighbourhoods that give the normals.
+
+    Raises:
+        RegistrationError: a cloud has too few points.
+    """
+    with ThreadPoolExecutor(2) as both:
+        sides = both.map(lambda cloud: surface(cloud, voxel_size_m, config), clouds)
+        views, metric = [], []
+        for points, normals, origin in sides:
+            views.append(View.build(points, normals, -origin / voxel_size_m, len(points)))
+            metric.append(se3.transform(voxel_size_m * np.eye(3), origin))
+    source, target = metric
+    V = np.asarray(np.linalg.solve(target, T_target_source @ source), np.float64)
+    V = refine(views[0], views[1], V, near=True).V_target_source
+    return se3.orthonormalise(target @ V @ np.linalg.inv(source))
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,7 @@ def test_it_grows_with_the_way_and_not_with_the_time() -> None:
 def test_a_turn_moves_what_is_far() -> None:
     spread = np.diag([1e-4, 4e-4, 9e-4, 0.0, 0.0, 1e-4])
     there = se3.transform(np.eye(3), np.array([10.0, 0.0, 0.0]))
-    carried = Surroundings(spread).carried(np.eye(4), there).random
+    carried = Surroundings(spread).carried(np.eye(4), there, np.zeros(6)).random
     np.testing.assert_allclose(np.diag(carried), [1e-4, 4e-4 + 1e-2, 9e-4, 0.0, 0.0, 1e-4])
     assert carried[1, 5] == pytest.approx(1e-3)
 
@@ -59,7 +59,7 @@ def test_a_drift_grows_with_the_way_and_not_with_its_root() -> None:
     way = [se3.transform(np.eye(3), np.array([5.0 * k, 0.0, 0.0])) for k in range(9)]
     known, spread = Surroundings(np.zeros((6, 6))), []
     for here, there in pairwise(way):
-        known = known.carried(here, there)
+        known = known.carried(here, there, covariance.DRIFT['lidar'])
         spread.append(np.sqrt(np.diag(known.covariance)))
     along, across, turn = np.array(spread)[:, [0, 1, 5]].T
     np.testing.assert_allclose(along, along[0] * np.arange(1, 9))

@@ -35,7 +35,7 @@ DRIFT = {'depth': np.repeat([0.004, 0.001], 3), 'lidar': np.repeat([0.001, 0.000
 """Standard deviation of what the motion of a kind of sensor is off by all the time, along and
 about each of its axes: m and rad per metre from a keyframe. Bent depth images, rings on few
 surfaces and loose normals pull every scan the same way. Likeliest for positions on development
-sequences; of a lidar twice that, for what a simulated one does not have
+sequences; of a lidar several times that, for what a simulated one does not have
 (docs/lab/2026-11-30-drift-by-sensor.md)."""
 
 

@@ -60,6 +60,15 @@ def compiled_into(function: Callable[..., Any]) -> Callable[..., Any]:
     return _compiled(function, fastmath=_FAST, forceinline=True)
 
 
+def compiled_inline(function: Callable[..., Any]) -> Callable[..., Any]:
+    """As `compiled`, and part of each kernel that calls it.
+
+    A call hands on each array of what it is given, and a loop with one in it counts references to
+    them; either takes longer than a small kernel itself.
+    """
+    return _compiled(function, fastmath=False, forceinline=True)
+
+
 def _compiled(function: Callable[..., Any], **flags: Any) -> Callable[..., Any]:
     # numba asks this setting once, as the decorator runs; other users of numba keep theirs.
     before = numba.config.CACHE_DIR

@@ -86,16 +86,16 @@ def test_level_keeps_what_a_plain_one_keeps(most: int) -> None:
 def test_points_stay_with_their_voxel_when_arrays_grow() -> None:
     rng = np.random.default_rng(0)
     level = VoxelLevel(SIZE, MOST)
-    before = len(level.grid.keys), len(level.grid.store)
+    before = len(level.grid.voxels), len(level.grid.store)
     points = rng.uniform(-12.0, 12.0, (150_000, 3))
     level.add(points, np.ones(len(points)), np.array([0.0, 0.0, 50.0]), 3.0)
-    assert len(level.grid.keys) > before[0]
+    assert len(level.grid.voxels) > before[0]
     assert len(level.grid.store) > before[1]
     assert np.unique(level.points(), axis=0).shape == level.points().shape
     for point in level.points()[::5000]:
         row, _, off = nearest(*point.astype(np.float64), level.grid)
         assert off == 0.0
-        assert np.array_equal(level.grid.store[row], point)
+        assert np.array_equal(level.grid.store[row, :3], point)
         assert level.grid.surface[row]['born'] == 3.0
         assert level.grid.beam[row] @ np.array([0.0, 0.0, -1.0]) > 0.8
 
@@ -108,7 +108,7 @@ def test_rows_of_what_is_forgotten_are_used_again() -> None:
         place = np.array([float(k), 0.0, 0.0])
         level.add(place + rng.normal(0.0, 4.0, (2000, 3)), np.ones(2000), place, float(k))
         level.keep_near(place, 12.0)
-        sizes.append((len(level), len(level.grid.keys)))
+        sizes.append((len(level), len(level.grid.voxels)))
     points, voxels = np.array(sizes[100:]).T
     assert points.max() < 1.2 * points.min()
     assert len(level.grid.store) <= 4 * points.max()
@@ -134,9 +134,9 @@ def test_points_are_packed_before_more_rows_are_taken(monkeypatch: pytest.Monkey
         level.add(corners + place, np.ones(len(corners)), np.zeros(3), float(k))
         if k == 2:  # surfaces, as a registration leaves them
             for voxel in range(level.used):
-                start, count, _ = level.grid.spans[voxel]
+                start, count = (level.grid.voxels[voxel][name] for name in ('start', 'count'))
                 for row in range(start, start + count):
-                    marks[tuple(level.grid.store[row].tolist())] = row + 1
+                    marks[tuple(level.grid.store[row, :3].tolist())] = row + 1
                     surface = level.grid.surface[row]
                     surface['fitted'] = surface['variance'] = row + 1
                     surface['support'] = row

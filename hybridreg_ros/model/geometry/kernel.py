@@ -74,16 +74,41 @@ def _influences(
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
     """Linear influence of every (kernel point, neighbour), the zero ones left out."""
     m, h = neighbours.shape
-    k, n = kernel.shape[0], support.shape[0]
-    room = max(_TYPICAL_ENTRIES * m, 2 * h * k)
+    room = max(_TYPICAL_ENTRIES * m, 2 * h * kernel.shape[0])
     rows, columns = np.empty(room, np.int32), np.empty(room, np.int32)
     weights = np.empty(room, np.float32)
+    near = queries, support, neighbours
+    q, entries = _entered((0, 0), near, kernel, extent, (rows, columns, weights))
+    while q < m:
+        room *= 2
+        rows, columns = _longer(rows, room), _longer(columns, room)
+        weights = _longer(weights, room)
+        q, entries = _entered((q, entries), near, kernel, extent, (rows, columns, weights))
+    return rows[:entries], columns[:entries], weights[:entries]
+
+
+@compiled
+def _entered(done, near, kernel, extent, into):  # type: ignore[no-untyped-def]
+    """Enter the influences of the query points that are left, while there is room.
+
+    Args:
+        done: query points, and influences that were entered for them.
+        near: queries, support and neighbours.
+        kernel: (K, 3) kernel points.
+        extent: distance at which the influence of one ends.
+        into: rows, columns and weights.
+
+    Returns:
+        `done` afterwards.
+    """
+    (q, entries), (queries, support, neighbours), (rows, columns, weights) = done, near, into
+    m, h = neighbours.shape
+    k, n = kernel.shape[0], support.shape[0]
     local = np.empty((k, h), np.float32)
     kx, ky, kz = kernel[:, 0].copy(), kernel[:, 1].copy(), kernel[:, 2].copy()
     x, y, z = np.empty(h, np.float32), np.empty(h, np.float32), np.empty(h, np.float32)
     inverse = np.float32(1.0 / extent)
-    entries = 0
-    for q in range(m):
+    while q < m:
         count = 0
         while count < h and neighbours[q, count] < n:
             j = neighbours[q, count]
@@ -91,23 +116,22 @@ def _influences(
             y[count] = support[j, 1] - queries[q, 1]
             z[count] = support[j, 2] - queries[q, 2]
             count += 1
+        if entries + count * k + 1 > len(rows):
+            break
         share = np.float32(1.0) / np.float32(max(count, 1))
         for p in range(k):
             for i in range(count):
                 dx, dy, dz = x[i] - kx[p], y[i] - ky[p], z[i] - kz[p]
                 d = np.sqrt(dx * dx + dy * dy + dz * dz)
                 local[p, i] = share * (np.float32(1.0) - d * inverse)
-        if entries + count * k + 1 > room:
-            more = 2 * room
-            rows, columns = _longer(rows, more), _longer(columns, more)
-            weights, room = _longer(weights, more), more
         for p in range(k):
             for i in range(count):  # written always, kept only where positive: no branch to guess
                 rows[entries] = q * k + p
                 columns[entries] = neighbours[q, i]
                 weights[entries] = local[p, i]
                 entries += 1 if local[p, i] > 0.0 else 0
-    return rows[:entries], columns[:entries], weights[:entries]
+        q += 1
+    return q, entries
 
 
 def kernel_operator(

@@ -95,7 +95,7 @@ def _draw(points: F32, into: Directions) -> None:
     row, far, low, high, share = into
     bins, used = row.shape[1], np.zeros(6, np.bool_)
     for i in range(points.shape[0]):
-        x, y, z = points[i]
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
         r = np.float32(np.sqrt(x * x + y * y + z * z))
         if not (0.0 < r < np.inf):
             continue
@@ -197,7 +197,8 @@ def _looked_at(
             seen = theirs[k]
             f, u, v = direction_bin(x, y, z, seen.row.shape[1])
             if k == 0 and seen.row[f, u, v] > 0:
-                a, b, c = others[seen.row[f, u, v] - 1]
+                j = seen.row[f, u, v] - 1
+                a, b, c = others[j, 0], others[j, 1], others[j, 2]
                 out[i, 0] = 1.0
                 out[i, 1] = np.sqrt(a * a + b * b + c * c) - r
                 out[i, 2] = r - seen.far[f, u, v]
@@ -212,7 +213,7 @@ def _looked_at(
                 out[i, 11] = _largest(free, f, u, v)
         nearest[i] = row
         out[i, 15] = np.log(max(r, 0.1))
-        x, y, z = points[i]
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
         r = np.sqrt(x * x + y * y + z * z)
         f, u, v = direction_bin(x, y, z, mine.row.shape[1])
         out[i, 12], out[i, 13] = mine.share[f, u, v], mine.low[f, u, v] - r

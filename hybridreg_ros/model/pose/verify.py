@@ -48,6 +48,9 @@ _FINAL_ROUNDS = 6
 _AGREEMENT_WEIGHT = 0.5
 _PROBES = 24
 _FINALISTS = 8
+_SAME = 1.0
+"""Hypotheses nearer to each other, in voxels, are one: where most matches agree, 60 are one to
+twenty, and need not be aligned one by one (docs/lab/2026-11-30-one-score.md)."""
 _ALIGNED = 24
 """Poses that are aligned roughly: those that fit best before (docs/lab, 2026-11-29)."""
 
@@ -113,6 +116,8 @@ def propose(matches: Candidates, views: tuple[View, View]) -> Proposals:
         views: source and target.
     """
     poses = consistent_hypotheses(matches, _TOLERANCE, _SEEDS, _NEIGHBOURS)
+    order = -np.arange(len(poses), dtype=np.float64)  # most support first
+    poses = poses[distinct(poses, order, _probes(views[0]), _SAME, _SEEDS)]
     return _ranked(poses, matches, views)
 
 

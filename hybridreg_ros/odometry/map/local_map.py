@@ -85,11 +85,12 @@ class VoxelLevel:
 
     def __len__(self) -> int:
         """Stored points."""
-        return int(self.grid.spans[: self.used, 1].sum())
+        return int(self.grid.voxels['count'][: self.used].sum())
 
     def points(self) -> NDArray[np.float32]:
         """All stored points (N, 3), map frame, metres."""
-        stored: NDArray[np.float32] = voxel_map.gather(self.grid.spans, self.grid.store, self.used)
+        grid = self.grid
+        stored: NDArray[np.float32] = voxel_map.gather(grid.voxels, grid.store, self.used)
         return stored
 
     def _grow(self) -> None:
@@ -98,10 +99,9 @@ class VoxelLevel:
         Rows of the new arrays that are not used yet take no memory.
         """
         old, rows = self.grid, len(self.grid.store)
-        if self.used == len(old.keys):
+        if self.used == len(old.voxels):
             more = _no_voxels(2 * self.used)
-            more['keys'][: self.used] = old.keys
-            more['spans'][: self.used] = old.spans
+            more['voxels'][: self.used] = old.voxels
             self.grid = old._replace(**more)
             self.keep_near(np.zeros(3), np.inf)
         elif 2 * len(self) > rows:
@@ -119,14 +119,13 @@ def _no_voxels(count: int) -> dict[str, Any]:
     """The arrays of a `Grid` for so many cubes, a power of two, all empty."""
     slots = zeros(4 * count, np.int32)
     slots[:] = -1
-    return {'slots': slots, 'keys': zeros(count, np.int64), 'spans': zeros((count, 3), np.int32)}
+    return {'slots': slots, 'voxels': zeros(count, voxel_map.VOXEL)}
 
 
 def _no_points(count: int) -> dict[str, Any]:
     """The arrays of a `Grid` for so many points."""
     return {
-        'store': zeros((count, 3), np.float32),
-        'mass': zeros(count, np.float32),
+        'store': zeros((count, 4), np.float32),
         'beam': zeros((count, 3), np.float32),
         'surface': zeros(count, voxel_map.SURFACE),
     }

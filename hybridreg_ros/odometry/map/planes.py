@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from hybridreg_ros.core.eigen import smallest_axis
-from hybridreg_ros.core.jit import compiled
+from hybridreg_ros.core.jit import compiled, compiled_inline
 from hybridreg_ros.odometry.map.voxel_hash import EMPTY, find_voxel, voxel_key
 
 MIN_PLANE_POINTS = 6
@@ -30,7 +30,7 @@ def buffer(grid):  # type: ignore[no-untyped-def]
     return np.empty((27 * grid.most + 1, 4))
 
 
-@compiled
+@compiled_inline
 def around(x, y, z, grid, found):  # type: ignore[no-untyped-def]
     """Stored points within one cube edge of a place.
 
@@ -60,21 +60,21 @@ def around(x, y, z, grid, found):  # type: ignore[no-untyped-def]
                 if gx * gx + gy * gy + gz * gz > 1.0:
                     continue
                 key = centre + (di << 42) + (dj << 21) + dk
-                voxel = find_voxel(key, grid.slots, grid.keys)
+                voxel = find_voxel(key, grid.slots, grid.voxels)
                 if voxel < 0:
                     continue
-                start = grid.spans[voxel, 0]
-                for i in range(start, start + grid.spans[voxel, 1]):
+                start = grid.voxels[voxel].start
+                for i in range(start, start + grid.voxels[voxel].count):
                     dx = grid.store[i, 0] - x
                     dy = grid.store[i, 1] - y
                     dz = grid.store[i, 2] - z
                     found[count, 0], found[count, 1], found[count, 2] = dx, dy, dz
-                    found[count, 3] = float(grid.mass[i]) if grid.by_mass else 1.0
+                    found[count, 3] = float(grid.store[i, 3]) if grid.by_mass else 1.0
                     count += dx * dx + dy * dy + dz * dz <= reach_sq
     return count
 
 
-@compiled
+@compiled_inline
 def plane_of(points, n):  # type: ignore[no-untyped-def]
     """Plane through the first n points (P, 4), with their weights.
 
@@ -102,13 +102,13 @@ def plane_of(points, n):  # type: ignore[no-untyped-def]
     return l0, l1, l2, nx, ny, nz, mx * nx + my * ny + mz * nz
 
 
-@compiled
+@compiled_inline
 def is_plane(l0, l1, l2):  # type: ignore[no-untyped-def]
     """Whether points with these variances along their axes, ascending, lie on a plane."""
     return l1 > 0.0 and l0 <= FLATNESS * l1 and l1 >= BREADTH * l2
 
 
-@compiled
+@compiled_inline
 def keep_within(points, n, nx, ny, nz, low, high):  # type: ignore[no-untyped-def]
     """Move those of the first n points (P, 4) to the front whose height is in (low, high).
 
@@ -124,7 +124,7 @@ def keep_within(points, n, nx, ny, nz, low, high):  # type: ignore[no-untyped-de
     return kept
 
 
-@compiled
+@compiled_inline
 def fit_around(x, y, z, grid, found):  # type: ignore[no-untyped-def]
     """Plane through the stored points within one cube edge of a place.
 

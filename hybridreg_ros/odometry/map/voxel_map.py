@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray  # noqa: TC002 (numba reads the annotations of VoxelTable)
 
-from hybridreg_ros.core.jit import compiled
+from hybridreg_ros.core.jit import compiled, compiled_inline
 from hybridreg_ros.odometry.map.voxel_hash import EMPTY, add_voxel, find_voxel, voxel_key
 
 SURFACE = np.dtype(
@@ -29,6 +29,18 @@ seconds, when the point was first seen; update after which the surface was fitte
 a free row: the next free run); points it was fitted to, 0 = it is no plane."""
 
 
+VOXEL = np.dtype(
+    [
+        ('key', np.int64),
+        ('start', np.int32),
+        ('count', np.int32),
+        ('room', np.int32),
+        ('unused', np.int32),
+    ]
+)
+"""A voxel: its key, row of its first point, points, and rows it has room for."""
+
+
 class VoxelTable(NamedTuple):
     """One level of the map as the kernels see it.
 
@@ -36,11 +48,10 @@ class VoxelTable(NamedTuple):
         size: edge of a voxel, metres.
         most: most points of a voxel.
         slots: (C,) int32, hash table of voxels (`voxelhash.find_voxel`), C a power of two.
-        keys: (V,) int64 key of each voxel.
-        spans: (V, 3) int32 of each voxel: row of its first point, points, rows it has room for.
+        voxels: (V,) VOXEL.
         free: (F,) int32 rows that may be given to a voxel (`pointrows`).
-        store: (P, 3) float32 the points of all voxels, map frame, metres.
-        mass: (P,) float32, sum of the weights of what each is the mean of, at most MOST_MASS.
+        store: (P, 4) float32 the points of all voxels, map frame, metres, and their mass: sum of
+            the weights of what each is the mean of, at most MOST_MASS.
         beam: (P, 3) float32 unit direction, map frame, in which each was first seen.
         surface: (P,) SURFACE, what registrations ask of each: half a cache line.
         by_mass: whether stored points count by their mass in the fit of a surface, or alike.
@@ -49,11 +60,9 @@ class VoxelTable(NamedTuple):
     size: float
     most: int
     slots: NDArray[np.int32]
-    keys: NDArray[np.int64]
-    spans: NDArray[np.int32]
+    voxels: NDArray[np.void]
     free: NDArray[np.int32]
     store: NDArray[np.float32]
-    mass: NDArray[np.float32]
     beam: NDArray[np.float32]
     surface: NDArray[np.void]
     by_mass: bool
@@ -89,15 +98,15 @@ def insert(points, weights, origin, now_s, spacing_sq, grid, used):  # type: ign
         key = voxel_key(x, y, z, inverse)
         if key == EMPTY:
             continue
-        voxel = find_voxel(key, grid.slots, grid.keys)
+        voxel = find_voxel(key, grid.slots, grid.voxels)
         if voxel < 0:
-            if used >= len(grid.keys) or not _give_rows(used, grid):
+            if used >= len(grid.voxels) or not _give_rows(used, grid):
                 return used, row
             voxel = used
-            grid.keys[voxel] = key
-            add_voxel(voxel, grid.slots, grid.keys)
+            grid.voxels[voxel].key = key
+            add_voxel(voxel, grid.slots, grid.voxels)
             used += 1
-        start, count = grid.spans[voxel, 0], grid.spans[voxel, 1]
+        start, count = grid.voxels[voxel].start, grid.voxels[voxel].count
         best, place = np.inf, start
         for i in range(start, start + count):
             dx = grid.store[i, 0] - x
@@ -108,20 +117,20 @@ def insert(points, weights, origin, now_s, spacing_sq, grid, used):  # type: ign
                 best, place = d, i
         full = count >= grid.most
         if best < (4.0 if full else 1.0) * spacing_sq:
-            mass = grid.mass[place]
+            mass = grid.store[place, 3]
             share = weights[row] / (mass + weights[row])
             grid.store[place, 0] += share * (x - grid.store[place, 0])
             grid.store[place, 1] += share * (y - grid.store[place, 1])
             grid.store[place, 2] += share * (z - grid.store[place, 2])
-            grid.mass[place] = min(mass + weights[row], MOST_MASS)
+            grid.store[place, 3] = min(mass + weights[row], MOST_MASS)
         elif not full:
-            if count >= grid.spans[voxel, 2] and not _move(voxel, grid):
+            if count >= grid.voxels[voxel].room and not _move(voxel, grid):
                 return used, row
-            place = grid.spans[voxel, 0] + count
+            place = grid.voxels[voxel].start + count
             grid.store[place, 0] = x
             grid.store[place, 1] = y
             grid.store[place, 2] = z
-            grid.mass[place] = weights[row]
+            grid.store[place, 3] = weights[row]
             bx, by, bz = x - origin[0], y - origin[1], z - origin[2]
             far = max(np.sqrt(bx * bx + by * by + bz * bz), 1e-6)
             grid.beam[place, 0] = bx / far
@@ -129,24 +138,25 @@ def insert(points, weights, origin, now_s, spacing_sq, grid, used):  # type: ign
             grid.beam[place, 2] = bz / far
             grid.surface[place].born = now_s
             grid.surface[place].fitted = 0
-            grid.spans[voxel, 1] = count + 1
+            grid.voxels[voxel].count = count + 1
     return used, len(points)
 
 
-@compiled
+@compiled_inline
 def _give_rows(voxel, grid):  # type: ignore[no-untyped-def]
     """Give a new voxel its first row; false when there is none."""
     start = take(1, grid.free, grid.surface)
     if start < 0:
         return False
-    grid.spans[voxel, 0], grid.spans[voxel, 1], grid.spans[voxel, 2] = start, 0, 1
+    grid.voxels[voxel].start, grid.voxels[voxel].count, grid.voxels[voxel].room = start, 0, 1
     return True
 
 
-@compiled
+@compiled_inline
 def _move(voxel, grid):  # type: ignore[no-untyped-def]
     """Move a full voxel to more rows; false when there are none."""
-    start, count, room = grid.spans[voxel, 0], grid.spans[voxel, 1], grid.spans[voxel, 2]
+    own = grid.voxels[voxel]
+    start, count, room = own.start, own.count, own.room
     larger = longer(room, grid.most)
     to = take(larger, grid.free, grid.surface)
     if to < 0:
@@ -154,17 +164,17 @@ def _move(voxel, grid):  # type: ignore[no-untyped-def]
     for i in range(count):
         _copy(grid, start + i, grid, to + i)
     give_back(start, room, grid.free, grid.surface)
-    grid.spans[voxel, 0], grid.spans[voxel, 2] = to, larger
+    grid.voxels[voxel].start, grid.voxels[voxel].room = to, larger
     return True
 
 
-@compiled
+@compiled_inline
 def _copy(source, i, grid, k):  # type: ignore[no-untyped-def]
     """Copy point i of one grid to row k of another, or of the same one, and its surface if any."""
-    for axis in range(3):
+    for axis in range(4):
         grid.store[k, axis] = source.store[i, axis]
+    for axis in range(3):
         grid.beam[k, axis] = source.beam[i, axis]
-    grid.mass[k] = source.mass[i]
     grid.surface[k] = source.surface[i]
 
 
@@ -178,12 +188,12 @@ def pack(source, grid, used):  # type: ignore[no-untyped-def]
         used: voxels in use.
     """
     for voxel in range(used):
-        start, count = source.spans[voxel, 0], source.spans[voxel, 1]
+        start, count = source.voxels[voxel].start, source.voxels[voxel].count
         room = max(1, count)
         to = take(room, grid.free, grid.surface)
         for i in range(count):
             _copy(source, start + i, grid, to + i)
-        grid.spans[voxel, 0], grid.spans[voxel, 2] = to, room
+        grid.voxels[voxel].start, grid.voxels[voxel].room = to, room
 
 
 @compiled
@@ -192,16 +202,16 @@ def keep_near(centre, reach_sq, grid, used):  # type: ignore[no-untyped-def]
     grid.slots[:] = -1
     kept = 0
     for voxel in range(used):
-        start, count, room = grid.spans[voxel, 0], grid.spans[voxel, 1], grid.spans[voxel, 2]
+        own = grid.voxels[voxel]
+        start, count, room = own.start, own.count, own.room
         dx = grid.store[start, 0] - centre[0]
         dy = grid.store[start, 1] - centre[1]
         dz = grid.store[start, 2] - centre[2]
         if count == 0 or dx * dx + dy * dy + dz * dz > reach_sq:
             give_back(start, room, grid.free, grid.surface)
             continue
-        grid.keys[kept] = grid.keys[voxel]
-        grid.spans[kept] = grid.spans[voxel]
-        add_voxel(kept, grid.slots, grid.keys)
+        grid.voxels[kept] = grid.voxels[voxel]
+        add_voxel(kept, grid.slots, grid.voxels)
         kept += 1
     return kept
 
@@ -216,11 +226,11 @@ def erase_near(points, reach_sq, grid):  # type: ignore[no-untyped-def]
         key = voxel_key(x, y, z, inverse)
         if key == EMPTY:
             continue
-        voxel = find_voxel(key, grid.slots, grid.keys)
+        voxel = find_voxel(key, grid.slots, grid.voxels)
         if voxel < 0:
             continue
-        i = grid.spans[voxel, 0]
-        end = i + grid.spans[voxel, 1]
+        i = grid.voxels[voxel].start
+        end = i + grid.voxels[voxel].count
         while i < end:
             dx = grid.store[i, 0] - x
             dy = grid.store[i, 1] - y
@@ -229,7 +239,7 @@ def erase_near(points, reach_sq, grid):  # type: ignore[no-untyped-def]
                 end -= 1
                 _copy(grid, end, grid, i)
                 grid.surface[i].fitted = 0
-                grid.spans[voxel, 1] -= 1
+                grid.voxels[voxel].count -= 1
                 removed += 1
             else:
                 i += 1
@@ -249,7 +259,7 @@ def mean_distance(points, R, t, grid):  # type: ignore[no-untyped-def]
     return total / max(1, len(points))
 
 
-@compiled
+@compiled_inline
 def nearest(x, y, z, grid):  # type: ignore[no-untyped-def]
     """Stored point nearest to a place, within one voxel edge.
 
@@ -279,11 +289,11 @@ def nearest(x, y, z, grid):  # type: ignore[no-untyped-def]
                     if (gx * gx + gy * gy + gz * gz) * size * size >= best:
                         continue
                     key = centre + (di << 42) + (dj << 21) + dk
-                    voxel = find_voxel(key, grid.slots, grid.keys)
+                    voxel = find_voxel(key, grid.slots, grid.voxels)
                     if voxel < 0:
                         continue
-                    start = grid.spans[voxel, 0]
-                    for i in range(start, start + grid.spans[voxel, 1]):
+                    start = grid.voxels[voxel].start
+                    for i in range(start, start + grid.voxels[voxel].count):
                         dx = grid.store[i, 0] - x
                         dy = grid.store[i, 1] - y
                         dz = grid.store[i, 2] - z
@@ -294,13 +304,13 @@ def nearest(x, y, z, grid):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def gather(spans, store, used):  # type: ignore[no-untyped-def]
+def gather(voxels, store, used):  # type: ignore[no-untyped-def]
     """All stored points as (N, 3) float32."""
-    points = np.empty((spans[:used, 1].sum(), 3), np.float32)
+    points = np.empty((voxels['count'][:used].sum(), 3), np.float32)
     row = 0
     for voxel in range(used):
-        start, count = spans[voxel, 0], spans[voxel, 1]
-        points[row : row + count] = store[start : start + count]
+        start, count = voxels[voxel].start, voxels[voxel].count
+        points[row : row + count] = store[start : start + count, :3]
         row += count
     return points
 
@@ -318,13 +328,13 @@ def none_taken(longest):  # type: ignore[no-untyped-def]
     return free
 
 
-@compiled
+@compiled_inline
 def longer(room, longest):  # type: ignore[no-untyped-def]
     """Rows of the next longer run: half as many again."""
     return min(room + max(1, room // 2), longest)
 
 
-@compiled
+@compiled_inline
 def take(room, free, surface):  # type: ignore[no-untyped-def]
     """First row of a run of so many rows, or -1 when the arrays are full.
 
@@ -344,7 +354,7 @@ def take(room, free, surface):  # type: ignore[no-untyped-def]
     return row
 
 
-@compiled
+@compiled_inline
 def give_back(row, room, free, surface):  # type: ignore[no-untyped-def]
     """Let a run of `room` rows from `row` on be taken again; other arguments as in `take`."""
     surface[row].fitted = free[room]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hybridreg_ros.core.jit import compiled
+from hybridreg_ros.core.jit import compiled, compiled_inline
 from hybridreg_ros.odometry.map.planes import buffer, fit_around
 from hybridreg_ros.odometry.map.voxel_map import nearest
 
@@ -40,13 +40,13 @@ def fit_surface(i, grid, wider, widest, update, room):  # type: ignore[no-untype
     surface.fitted, surface.support = update, n
 
 
-@compiled
+@compiled_inline
 def _edge_on(nx, ny, nz, beam):  # type: ignore[no-untyped-def]
     """Whether a surface with this normal was seen too edge-on to be one; true without a normal."""
     return abs(nx * beam[0] + ny * beam[1] + nz * beam[2]) < GRAZING
 
 
-@compiled
+@compiled_inline
 def _lasts(support):  # type: ignore[no-untyped-def]
     """Updates of the map for which a surface stays as it is; 0 while there is none yet."""
     if support == 0:
@@ -55,19 +55,36 @@ def _lasts(support):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _surface_of(x, y, z, grid, wider, widest, update, room):  # type: ignore[no-untyped-def]
-    """Stored point nearest to a place, its surface fitted as often as it is due.
+def _nearest_each(points, R, t, grid):  # type: ignore[no-untyped-def]
+    """Stored point nearest to each moved point and its voxel, (N,) int64; -1 = none."""
+    at, home = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
+    for row in range(len(points)):
+        x, y, z = _moved(points, row, R, t)
+        at[row], home[row], _ = nearest(x, y, z, grid)
+    return at, home
 
-    Returns:
-        Its row in the level, -1 = none within one edge.
-    """
-    i, voxel, _ = nearest(x, y, z, grid)
-    if i >= 0 and _is_due(grid.surface[i], update) and not _shares(i, voxel, grid, update):
-        fit_surface(i, grid, wider, widest, update, room)
-    return i
+
+@compiled_inline
+def _moved(points, row, R, t):  # type: ignore[no-untyped-def]
+    """Point of a row, in the map frame."""
+    px, py, pz = points[row, 0], points[row, 1], points[row, 2]
+    x = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + t[0]
+    y = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz + t[1]
+    z = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2]
+    return x, y, z
 
 
 @compiled
+def _fit_due(at, home, grid, wider, widest, update):  # type: ignore[no-untyped-def]
+    """Fit the surfaces of the stored points `at` (N,), in voxels `home`, that are due."""
+    room = buffer(grid)
+    for row in range(len(at)):
+        i = at[row]
+        if i >= 0 and _is_due(grid.surface[i], update) and not _shares(i, home[row], grid, update):
+            fit_surface(i, grid, wider, widest, update, room)
+
+
+@compiled_inline
 def _is_due(surface, update):  # type: ignore[no-untyped-def]
     """Whether a surface must be fitted anew."""
     return surface.fitted == 0 or update - surface.fitted > _lasts(surface.support)
@@ -81,8 +98,8 @@ def _shares(i, voxel, grid, update):  # type: ignore[no-untyped-def]
     """
     if not grid.by_mass:
         return False
-    start = grid.spans[voxel, 0]
-    for k in range(start, start + grid.spans[voxel, 1]):
+    start = grid.voxels[voxel].start
+    for k in range(start, start + grid.voxels[voxel].count):
         other = grid.surface[k]
         if other.support == 0 or _is_due(other, update):
             continue
@@ -96,19 +113,6 @@ def _shares(i, voxel, grid, update):  # type: ignore[no-untyped-def]
             own.variance, own.fitted, own.support = other.variance, other.fitted, other.support
             return True
     return False
-
-
-@compiled
-def _on_plane(x, y, z, grid, i, slack):  # type: ignore[no-untyped-def]
-    """Whether a place lies on the surface of a stored point, if that is a plane."""
-    if i < 0 or grid.surface[i].support == 0:
-        return False
-    surface = grid.surface[i]
-    off = -float(surface.offset)
-    off += (x - grid.store[i, 0]) * surface.nx
-    off += (y - grid.store[i, 1]) * surface.ny
-    off += (z - grid.store[i, 2]) * surface.nz
-    return abs(off) < slack
 
 
 @compiled
@@ -135,28 +139,42 @@ def associate(points, R, t, grid, wider, widest, update, kind, anchor, normal, v
         var: (N,) float64 out, variance of the map points across the plane, m^2.
         born: (N,) float64 out, age of the map, seconds, when that stored point was first seen.
     """
-    room = buffer(grid)
-    for row in range(len(points)):
-        px, py, pz = points[row, 0], points[row, 1], points[row, 2]
-        x = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + t[0]
-        y = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz + t[1]
-        z = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2]
+    at, home = _nearest_each(points, R, t, grid)
+    _fit_due(at, home, grid, wider, widest, update)
+    _pair(points, np.arange(len(points)), at, R, t, np.inf, grid, kind, anchor, normal, var, born)
+    if wider.size > grid.size and not grid.by_mass:
+        left = np.flatnonzero(at < 0)
+        at, home = _nearest_each(points[left], R, t, wider)
+        _fit_due(at, home, wider, widest, widest, update)
+        slack = BETWEEN * grid.size
+        _pair(points, left, at, R, t, slack, wider, kind, anchor, normal, var, born)
+
+
+@compiled
+def _pair(points, rows, at, R, t, slack, grid, kind, anchor, normal, var, born):  # type: ignore[no-untyped-def]
+    """Pair points `rows` with the surfaces of stored points `at`; outputs as of `associate`.
+
+    With a finite slack only those that are planes no farther away, metres.
+    """
+    for k in range(len(rows)):
+        row, i = rows[k], at[k]
         kind[row] = NONE
-        level = grid
-        i = _surface_of(x, y, z, grid, wider, widest, update, room)
-        if i < 0 and wider.size > grid.size and not grid.by_mass:
-            level = wider
-            i = _surface_of(x, y, z, wider, widest, widest, update, room)
-            if not _on_plane(x, y, z, wider, i, BETWEEN * grid.size):
-                continue
         if i < 0:
             continue
-        surface = level.surface[i]
+        surface = grid.surface[i]
+        if slack < np.inf:
+            x, y, z = _moved(points, row, R, t)
+            off = -float(surface.offset)
+            off += (x - grid.store[i, 0]) * surface.nx
+            off += (y - grid.store[i, 1]) * surface.ny
+            off += (z - grid.store[i, 2]) * surface.nz
+            if surface.support == 0 or abs(off) >= slack:
+                continue
         kind[row] = PLANE if surface.support > 0 else POINT
         born[row], var[row] = surface.born, surface.variance
         normal[row, 0], normal[row, 1], normal[row, 2] = surface.nx, surface.ny, surface.nz
         for axis in range(3):
-            anchor[row, axis] = level.store[i, axis] + surface.offset * normal[row, axis]
+            anchor[row, axis] = grid.store[i, axis] + surface.offset * normal[row, axis]
 
 
 @compiled

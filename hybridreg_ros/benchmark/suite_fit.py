@@ -161,7 +161,7 @@ def gather(
         truth = frame.T_world_sensor
         if known:
             for candidate in _distinct(odometry.judged):
-                if candidate.verdict.fault is not Reason.NO_OVERLAP:
+                if candidate.is_seen:
                     features.append([getattr(candidate.evidence, name) for name in EVIDENCE])
                     right.append(_right(known, (candidate.reported, truth), limits))
         if result.reason is Reason.RECOVERED and result.confidence == 0.0:

@@ -195,8 +195,8 @@ class GateConfig(Section):
 
     sure: float = option(
         0.9,
-        'confidence at which a pose of the network needs no second opinion, and a scan is written '
-        'to the map where the map already shows the place',
+        'confidence at which a pose needs no second opinion, and a scan is written to the map '
+        'where the map already shows the place',
         low=0.0,
         high=1.0,
     )
@@ -206,13 +206,6 @@ class GateConfig(Section):
         'model',
         low=0.0,
         high=1.0,
-    )
-    max_jump_m: float = option(
-        0.0,
-        'distance from the predicted position beyond which more must speak for a pose, metres; '
-        '0 = by voxel and speed',
-        low=0.0,
-        high=1000.0,
     )
     accept: float = option(
         0.3,

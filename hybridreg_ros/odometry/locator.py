@@ -1,37 +1,34 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Locator: which branch gives the pose of a scan, checked by what the scan sees there."""
+"""Locator: ways to the pose of a scan, one after another until one is sure, and the best pose."""
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
-from functools import partial
-from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hybridreg_ros.core.errors import RegistrationError
 from hybridreg_ros.odometry.load import FULL
 from hybridreg_ros.odometry.registration import covariance
 from hybridreg_ros.odometry.registration.alignment import align_scan
 from hybridreg_ros.odometry.result import Reason, Source
-from hybridreg_ros.odometry.selection import candidates, reported_confidence
+from hybridreg_ros.odometry.selection import reported_confidence
 from hybridreg_ros.odometry.selection.candidates import (
     Candidate,
-    Located,
-    better,
-    located_by_kiss,
-    tried,
+    Sought,
+    apart,
+    innovation,
+    is_worth_it,
+    log_odds,
 )
 from hybridreg_ros.odometry.selection.fallback import Fallback
-from hybridreg_ros.odometry.selection.pose_confidence import (
-    Verdict,
-    judge,
-    worst_axis,
-)
+from hybridreg_ros.odometry.selection.pose_confidence import worst_axis
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -48,6 +45,8 @@ if TYPE_CHECKING:
     F64 = NDArray[np.float64]
     F32 = NDArray[np.float32]
 
+_log = logging.getLogger(__name__)
+
 _HEED = np.array([4.0, 2.0])
 """Factors on the spread of shift and turn that the motion so far had, before a pose is held by it:
 things start and stop."""
@@ -60,21 +59,13 @@ _NETWORK_SPREAD = 0.2, float(np.deg2rad(0.3))
 """Standard deviation of the network's poses along each axis, in voxels of the map and radians: of
 six recorded and simulated sequences, half are within 0.2 voxels and 0.3 degrees of the aligned
 pose, all axes together (docs/lab/2026-11-29-step-time.md)."""
-_NO_DOUBT, _STANDS = 0.95, 0.9
-"""Confidence, and share of the points on what an earlier scan saw, at which the first pose of
-kiss-icp needs no second opinion."""
-_SOON_S = 0.15
-"""So soon after the last scan the motion says where this one is; later much can have happened."""
-_JUMP = 0.5
-"""A pose three times as far off the prediction as is usual, and out of reach, has jumped: it is
-taken only where that is more likely than not, all things considered."""
-_LEFT = 0.2
-"""A mask of the network that leaves less of the trusted points says that it recognises nothing,
-not that all of them move: poses are judged without it."""
 
 
 class Locator:
     """The two branches behind one question: where is this scan?
+
+    Each way leads to a candidate. The first that is sure ends the search; else the one that ranks
+    highest of all is the pose, if it is likely enough.
 
     Args:
         config: settings.
@@ -98,15 +89,11 @@ class Locator:
         self._world = world
         self._learned = learned
         self._fallback = Fallback(config, sensor, world.map)
-        self._sure = config.gate.sure
         self._no_network = (
             Reason.REGISTRAR_KISS_ICP if config.registrar == 'kiss-icp' else Reason.NO_WEIGHTS
         )
-        self._rigour = _TOLD_AGAIN[sensor.kind]
+        self._heed = _HEED / _TOLD_AGAIN[sensor.kind]
         self._network_spread = _NETWORK_SPREAD[0] * sensor.voxel_size_m, _NETWORK_SPREAD[1]
-        self._prior: Expected | None = None
-        self._reach_m: float | None = None
-        self.learn = self._fallback.learn
         self.judged: list[Candidate] = []
 
     def locate(
@@ -118,8 +105,8 @@ class Locator:
         trust: F32,
         watch: Watch,
         effort: Effort,
-    ) -> Located | Reason:
-        """Pose by the network when it is trusted, else by the fallback; or why there is none.
+    ) -> Candidate | Reason:
+        """Pose by the network when it is sure, else the best of all ways; or why there is none.
 
         Args:
             cloud: the preprocessed scan.
@@ -131,22 +118,57 @@ class Locator:
             watch: books the time per stage.
             effort: how much is tried while the pose is in doubt.
         """
-        self.judged = []
-        self._prior = expected.widened(*(_HEED / self._rigour))
-        self._reach_m = min(expected.shift_m, self._prior.shift_m)
-        check: Callable[[Fit], Candidate] = partial(self._judged, cloud, trust, expected)
-        found: Located | Reason = self._no_network
-        for proposal in self._proposals(cloud, *asked, expected, effort.thorough):
+        scan = Sought(cloud, trust, trust, expected, expected.widened(*self._heed))
+        proposals = self._proposals(cloud, *asked, expected, effort.thorough)
+        return self._found(scan, proposals, [expected.pose, last], effort.thorough, watch)
+
+    def relocate(self, cloud: PreprocessedScan, last: F64, watch: Watch) -> Candidate | Reason:
+        """Pose of a scan when the last pose says little: by keyframes, else by the fallback.
+
+        Args:
+            cloud: the preprocessed scan.
+            last: (4, 4) last pose before the loss.
+            watch: books the time per stage.
+        """
+        every = np.ones(len(cloud.icp_rows), np.float32)
+        scan = Sought(cloud, every, every)
+        found = self._found(scan, self._nearest(cloud, last), [last], True, watch)
+        if isinstance(found, Candidate) and found.confidence < self._config.gate.enter:
+            return Reason.LOW_CONFIDENCE
+        return found
+
+    def confidence_of(self, found: Candidate) -> reported_confidence.ReportedConfidence:
+        """What is known of the pose that was found for the last scan, all ways considered."""
+        return reported_confidence.of(found, self.judged, self._voxel_m)
+
+    def _found(
+        self,
+        scan: Sought,
+        proposals: Iterable[Proposal | None],
+        guesses: Sequence[F64],
+        wide: bool,
+        watch: Watch,
+    ) -> Candidate | Reason:
+        """The candidate of the first way that is sure, else of the best; or why none is taken."""
+        self.judged, why = [], self._no_network
+        for proposal in proposals:
             watch.lap('match')
-            check = self._check(cloud, trust, expected, proposal)
-            other = self._by_network(cloud, proposal, trust, check, expected)
+            why, scan = Reason.LOW_CONFIDENCE, scan.judged_by(proposal)
+            if proposal is not None and proposal.confidence >= self._config.gate.enter:
+                why = self._by_network(scan, proposal)
             watch.lap('refine')
-            found = other if _is_better(other, found) else found
-            if isinstance(found, Located) and self._is_sure(found):
-                return self._or_nearer(found, cloud, trust, expected, check)
-        why = found if isinstance(found, Reason) else Reason.LOW_CONFIDENCE
-        other = self._by_fallback(cloud, [expected.pose, last], trust, check, why, effort.thorough)
-        return other if _is_better(other, found) else found
+            if self._is_sure():
+                if self._is_expected(self._best(), scan.expected):
+                    return self._best()
+                break
+        for way in self._fallback.ways(scan, guesses, wide):
+            try:
+                self._judge(scan, way(), Source.KISS_ICP, why)
+            except RegistrationError as error:
+                _log.debug('fallback: %s', error)
+            if self.judged and self._best().rank > log_odds(self._config.gate.sure):
+                break
+        return self._outcome()
 
     def _proposals(
         self,
@@ -166,137 +188,43 @@ class Locator:
             if finer is not None:
                 yield self._learned.propose(finer, keyframe)
 
-    def _is_sure(self, found: Located) -> bool:
-        """Whether a pose of the network is taken without another opinion."""
-        return self.confidence_of(found).confidence >= self._sure
+    def _nearest(self, cloud: PreprocessedScan, last: F64) -> Iterator[Proposal | None]:
+        """What the network says of a scan against each of the keyframes nearest to a pose."""
+        if self._learned is None:
+            return
+        scan = self._learned.encode(cloud.map_points, FULL)
+        for keyframe in self._world.keyframes.nearest(last, self._config.lost.keyframes_tried):
+            yield self._learned.propose(scan, keyframe)
 
-    def _check(
-        self, cloud: PreprocessedScan, trust: F32, expected: Expected, proposal: Proposal | None
-    ) -> Callable[[Fit], Candidate]:
-        """How poses are judged: without the points that the mask of the network knows to move."""
-        if proposal is not None:  # it knows of those who came since the last scan
-            still = trust * (1.0 - proposal.uncertainty[cloud.icp_in_map])
-            if (still > 0.5).sum() >= _LEFT * (trust > 0.5).sum():
-                trust = still
-        return partial(self._judged, cloud, trust, expected)
+    def _by_network(self, scan: Sought, proposal: Proposal) -> Reason:
+        """Align the network's pose with the map; why the result is not taken, if it is not."""
+        start, prior = proposal.T_odom_sensor, scan.prior
+        basin: Basin = 'near'
+        if prior is not None and not self._is_near(prior, start):
+            prior = None
+        if prior is not None and scan.expected is not None:
+            start, basin = self._start_between(start, scan.expected, scan.cloud)
+        fit = align_scan(scan.cloud, start, self._world.map, scan.trust, basin, prior)
+        found = self._judge(scan, fit, Source.HYBRIDREG, Reason.OK, proposal.confidence)
+        doubt = Reason.LOW_CONFIDENCE
+        if not self._is_expected(found, scan.expected):
+            doubt = Reason.DISAGREES_WITH_MOTION
+        return self._fault(found) or doubt
 
-    def confidence_of(self, found: Located) -> reported_confidence.ReportedConfidence:
-        """What is known of the pose that was found for the last scan, all ways considered."""
-        return reported_confidence.of(found, self.judged, self._voxel_m)
-
-    def relocate(self, cloud: PreprocessedScan, last: F64) -> Located | Reason:
-        """Pose of a scan when the last pose says little: by keyframes, else by the fallback.
-
-        Args:
-            cloud: the preprocessed scan.
-            last: (4, 4) last pose before the loss.
-        """
-        trust = np.ones(len(cloud.icp_rows), np.float32)
-        self.judged, self._prior, self._reach_m = [], None, None
-        check = partial(self._judged, cloud, trust, None)
-        found: Located | Reason = self._no_network
-        if self._learned is not None:
-            scan = self._learned.encode(cloud.map_points, FULL)
-            for keyframe in self._world.keyframes.nearest(last, self._config.lost.keyframes_tried):
-                proposal = self._learned.propose(scan, keyframe)
-                other = self._by_network(cloud, proposal, trust, check)
-                found = other if _is_better(other, found) else found
-                if isinstance(found, Located) and self._is_sure(found):
-                    return found
-        other = self._by_fallback(cloud, [last], trust, check, Reason.RECOVERED)
-        found = other if _is_better(other, found) else found
-        if isinstance(found, Located) and found.confidence < self._config.gate.enter:
-            return Reason.LOW_CONFIDENCE
-        return found
-
-    def _without_doubt(self, found: Candidate) -> bool:
-        """Whether a pose is taken without a second opinion.
-
-        Confidence alone is not enough: at a wrong pose along walls most points find the map too,
-        and one that nothing holds along a direction is the prediction itself.
-        """
-        sure = found.verdict.confidence >= _NO_DOUBT and found.evidence.consistent >= _STANDS
-        return sure and not found.fit.unheld.any()
-
-    def _followed(
-        self,
-        cloud: PreprocessedScan,
-        predicted: F64,
-        trust: F32,
-        check: Callable[[Fit], Candidate],
-    ) -> Candidate | None:
-        """Fallback from the prediction, or None when it cannot register.
-
-        kiss-icp widens its search with the errors of all predictions so far, and then finds the
-        next shelf as well. So a pose far off the prediction must be better than what is found
-        close to it.
-        """
-        wide = tried(
-            partial(self._fallback.follow, cloud, predicted, trust, prior=self._prior), check
-        )
-        if wide is None or not self._is_far(wide.fit.T_odom_sensor):
-            return wide
-        return better(wide, tried(self._near(cloud, predicted, trust, wide), check))
-
-    def _or_nearer(
-        self,
-        found: Located,
-        cloud: PreprocessedScan,
-        trust: F32,
-        expected: Expected,
-        check: Callable[[Fit], Candidate],
-    ) -> Located:
-        """A sure pose of the network, or a better one close to the prediction.
-
-        Where a structure repeats (stairs, shelves) the network finds any period of it. While
-        predictions have not been proven, every pose that is off by a voxel is such a one.
-        """
-        pose = found.fit.T_odom_sensor
-        off = candidates.apart(expected.pose, pose, self._voxel_m, 1.0)
-        likely = expected.is_proven and np.abs(expected.off(pose)).max() <= _FAR
-        if off < 1.0 or likely:
-            return found
-        nearer = tried(self._near(cloud, expected.pose, trust, found), check)
-        if nearer is None or nearer.rank <= found.rank:
-            return found
-        if candidates.apart(nearer.fit.T_odom_sensor, pose, self._voxel_m, 1.0) < 1.0:
-            return found  # the same place
-        return located_by_kiss(nearer, Reason.DISAGREES_WITH_MOTION)
-
-    def _near(
-        self,
-        cloud: PreprocessedScan,
-        predicted: F64,
-        trust: F32,
-        known: Candidate | Located | None,
-    ) -> Callable[[], Fit | None]:
-        """Way to register close to the prediction; it leads to nothing the second time."""
-        prior, reach_m, self._reach_m = self._prior, self._reach_m, None
-        if prior is None or reach_m is None:
-            return lambda: None
-        pose = None if known is None else known.fit.T_odom_sensor
-        return partial(self._fallback.follow_near, cloud, predicted, trust, prior, reach_m, pose)
-
-    def _is_far(self, pose: F64) -> bool:
-        """Whether a pose (4, 4) is far off the expected one for what predictions have been."""
-        return self._prior is not None and bool(np.abs(self._prior.off(pose)).max() > _FAR)
-
-    def _prior_near(self, pose: F64) -> Expected | None:
-        """What the motion so far expects, for a pose (4, 4) of the network near it; else None.
+    def _is_near(self, prior: Expected, pose: F64) -> bool:
+        """Whether a pose (4, 4) of the network is one that the motion so far may expect.
 
         How far off is too far follows from the spread of both: a pose of the network is good to
         a part of a voxel, a prediction of a fast sensor much better. One that is farther off is
         an opinion of its own, not to be drawn to the expected pose.
         """
-        if self._prior is None:
-            return None
         shift_m, turn_rad = self._network_spread
         both = replace(
-            self._prior,
-            shift_m=float(np.hypot(self._prior.shift_m, shift_m)),
-            turn_rad=float(np.hypot(self._prior.turn_rad, turn_rad)),
+            prior,
+            shift_m=float(np.hypot(prior.shift_m, shift_m)),
+            turn_rad=float(np.hypot(prior.turn_rad, turn_rad)),
         )
-        return self._prior if np.abs(both.off(pose)).max() <= _FAR else None
+        return bool(np.abs(both.off(pose)).max() <= _FAR)
 
     def _start_between(
         self, pose: F64, expected: Expected, cloud: PreprocessedScan
@@ -315,118 +243,78 @@ class Locator:
         sure = _FAR * (best.shift_m + cloud.reach_m * best.turn_rad) < self._world.map.fine.size_m
         return best.pose, 'fine' if sure else 'near'
 
-    def _by_network(
-        self,
-        cloud: PreprocessedScan,
-        proposal: Proposal | None,
-        trust: F32,
-        check: Callable[[Fit], Candidate],
-        expected: Expected | None = None,
-    ) -> Located | Reason:
-        """The network's pose, refined in the map; or why it is not taken."""
-        if proposal is None:
-            return Reason.LOW_CONFIDENCE
-        if proposal.confidence < self._config.gate.enter:
-            return Reason.LOW_CONFIDENCE
-        start = proposal.T_odom_sensor
-        prior = self._prior_near(start)
-        basin: Basin = 'near'
-        if prior is not None and expected is not None:
-            start, basin = self._start_between(start, expected, cloud)
-        fit = align_scan(cloud, start, self._world.map, trust, basin, prior)
-        candidate = check(fit)
-        if candidate.verdict.fault is not None:
-            return candidate.verdict.fault
-        if candidate.verdict.confidence < self._config.gate.accept:
-            return Reason.REFINEMENT_FAILED
-        return Located(
-            fit,
-            candidate.evidence,
-            Source.HYBRIDREG,
-            Reason.OK,
-            min(proposal.confidence, candidate.verdict.confidence),
-            candidate.verdict.confidence,
-            candidate.innovation,
-            candidate.rank,
-        )
+    def _best(self) -> Candidate:
+        """The candidate of the highest rank so far; at its place, one of the network that is sure.
 
-    def _by_fallback(
-        self,
-        cloud: PreprocessedScan,
-        guesses: Sequence[F64],
-        trust: F32,
-        check: Callable[[Fit], Candidate],
-        reason: Reason,
-        wide: bool = True,
-    ) -> Located | Reason:
-        """Fallback from the guesses; while in doubt, other ways and turned guesses. Best wins."""
-        gate = self._config.gate
-        best = self._followed(cloud, guesses[0], trust, check)
-        if best is None or not self._without_doubt(best):
-            ways = self._other_ways(cloud, guesses, trust, best)
-            for way in ways if wide else islice(ways, 1):
-                best = better(best, tried(way, check))
-                if best is not None and best.verdict.confidence >= gate.sure:
-                    break
-        if best is None:
-            return Reason.REFINEMENT_FAILED
-        if best.verdict.fault is not None:
-            return best.verdict.fault
-        if best.verdict.confidence < gate.accept:
-            if not candidates.is_worth_it(best, self.judged, self._voxel_m, gate.accept):
-                return Reason.LOW_CONFIDENCE
-            return located_by_kiss(best, Reason.LOW_CONFIDENCE, tentative=True)
-        return located_by_kiss(best, reason)
-
-    def _other_ways(
-        self, cloud: PreprocessedScan, guesses: Sequence[F64], trust: F32, first: Candidate | None
-    ) -> Iterator[Callable[[], Fit | None]]:
-        """Ways to register without a network where following the prediction leaves doubt.
-
-        A crowd that comes into view draws kiss-icp away from the pose by more than predictions
-        are usually off, and every guess ends there then; with near partners alone it does not.
+        Two ways to one place tell of the same pose, unless what the scan sees from it (bent by
+        another motion within the scan, say) speaks for one alone.
         """
-        fallback, prior = self._fallback, self._prior
-        yield self._near(cloud, guesses[0], trust, first)
-        yield partial(fallback.locate, cloud, guesses, trust, prior)
-        for guess in fallback.search(cloud, guesses[0]):
-            yield partial(fallback.locate, cloud, [guess], trust)
+        best = max(self.judged, key=lambda c: c.rank)
+        pose, sure = best.fit.T_odom_sensor, log_odds(self._config.gate.sure)
+        same = [
+            c
+            for c in self.judged
+            if c.rank > sure and apart(c.fit.T_odom_sensor, pose, self._voxel_m, 1.0) < 1.0
+        ]
+        return max(same, key=lambda c: (c.source is Source.HYBRIDREG, c.rank), default=best)
 
-    def _judged(
-        self, cloud: PreprocessedScan, trust: F32, expected: Expected | None, fit: Fit
+    def _is_sure(self) -> bool:
+        """Whether the best pose so far needs no other opinion, but perhaps one near by."""
+        told = self.confidence_of(self._best()).confidence if self.judged else 0.0
+        return told >= self._config.gate.sure
+
+    def _is_expected(self, found: Candidate, expected: Expected | None) -> bool:
+        """Whether a pose is not off the prediction by more than is usual.
+
+        Where a structure repeats (stairs, shelves) every way finds any period of it, so one that
+        is farther off is not taken until kiss-icp has looked near the prediction. While
+        predictions have not been proven, a voxel is that far.
+        """
+        pose = found.fit.T_odom_sensor
+        if expected is None or apart(expected.pose, pose, self._voxel_m, 1.0) < 1.0:
+            return True
+        return expected.is_proven and bool(np.abs(expected.off(pose)).max() <= _FAR)
+
+    def _is_likely(self, found: Candidate) -> bool:
+        """Whether a candidate is likely enough to be taken."""
+        return found.score >= log_odds(self._config.gate.accept)
+
+    def _fault(self, found: Candidate) -> Reason | None:
+        """Why a candidate is not likely enough to be taken; None when it is."""
+        if self._is_likely(found):
+            return None
+        if not found.is_seen:
+            return Reason.NO_OVERLAP
+        evident = found.evident >= self._config.gate.accept
+        return Reason.DISAGREES_WITH_MOTION if evident else Reason.REFINEMENT_FAILED
+
+    def _outcome(self) -> Candidate | Reason:
+        """The best candidate, if it is likely enough or no worse than the prediction."""
+        if not self.judged:
+            return Reason.REFINEMENT_FAILED
+        best = self._best()
+        fault = self._fault(best)
+        if fault is None:
+            return best
+        if fault is not Reason.REFINEMENT_FAILED:
+            return fault
+        if is_worth_it(best, self.judged, self._voxel_m, self._config.gate.accept):
+            return replace(best, reason=Reason.LOW_CONFIDENCE, tentative=True)
+        return Reason.LOW_CONFIDENCE
+
+    def _judge(
+        self, scan: Sought, fit: Fit, source: Source, reason: Reason, vouched: float = 1.0
     ) -> Candidate:
         """A pose with what speaks for it, judged by the points that do not move."""
-        points = cloud.icp_with(fit.intra_scan)[trust > 0.5]
+        cloud, pose = scan.cloud, fit.T_odom_sensor
+        points = cloud.icp_with(fit.intra_scan)[scan.still > 0.5]
         spread = covariance.of_fit(fit, cloud.reported_s - cloud.instant_s, 1.0)
         evidence = replace(
-            self._world.sightings.evidence(points, fit.T_odom_sensor, fit.overlap),
+            self._world.sightings.evidence(points, pose, fit.overlap),
             worst_axis=worst_axis(covariance.weakest_m(spread)),
         )
-        predicted, dt_s = (None, 0.0) if expected is None else (expected.pose, expected.seconds)
-        verdict = judge(
-            evidence,
-            fit.T_odom_sensor,
-            predicted,
-            dt_s,
-            self._voxel_m,
-            self._config.gate.max_jump_m,
-        )
-        reported = cloud.reported(fit.T_odom_sensor, fit.intra_scan)
-        off = candidates.innovation(fit.T_odom_sensor, expected, self._voxel_m)
-        if expected is not None and off > _JUMP and expected.is_out_of_reach(fit.T_odom_sensor):
-            unlikely = (
-                verdict.fault is None and candidates.against_motion(verdict.confidence, off) < 0.0
-            )
-            verdict = Verdict(0.0, Reason.DISAGREES_WITH_MOTION) if unlikely else verdict
-        held = not fit.unheld.any()
-        order = candidates.rank(evidence, verdict, off, 0.0 < dt_s <= _SOON_S, held)
-        candidate = Candidate(fit, evidence, verdict, reported, off, order)
+        reported = cloud.reported(pose, fit.intra_scan)
+        off = innovation(pose, scan.expected, self._voxel_m)
+        candidate = Candidate(fit, source, reason, evidence, reported, off, vouched)
         self.judged.append(candidate)
         return candidate
-
-
-def _is_better(other: Located | Reason, found: Located | Reason) -> bool:
-    """Whether the outcome of another way is a pose of higher rank than the one found, if any."""
-    if not isinstance(found, Located):
-        return True
-    return isinstance(other, Located) and other.rank > found.rank

@@ -23,7 +23,7 @@ from hybridreg_ros.odometry.registration.planar import in_plane
 from hybridreg_ros.odometry.registration.scan_continuity import ScanContinuity
 from hybridreg_ros.odometry.result import Reason, Source
 from hybridreg_ros.odometry.selection import calibration
-from hybridreg_ros.odometry.selection.candidates import UNHELD, Located
+from hybridreg_ros.odometry.selection.candidates import UNHELD, Candidate
 from hybridreg_ros.odometry.world import World
 
 if TYPE_CHECKING:
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.preprocess import SensorModel
     from hybridreg_ros.odometry.preprocessed import PreprocessedScan
     from hybridreg_ros.odometry.result import Watch
-    from hybridreg_ros.odometry.selection.candidates import Candidate
     from hybridreg_ros.odometry.selection.reported_confidence import ReportedConfidence
 
     F64 = NDArray[np.float64]
@@ -153,22 +152,22 @@ class Tracker:
             return self._begin(cloud, encoded, stamp, Reason.FIRST_SCAN)
         cloud = self._continuity.informed(cloud, self._motion.seconds_to(stamp))
         expected = self._continuity.expect(self._motion.expect(stamp), cloud, stamp)
-        predicted, moves = expected.pose, self._world.dynamics.recalled
-        trust = np.float32(1.0) - moves(cloud.icp_points, predicted)
+        moves = self._world.dynamics.recalled
+        trust = np.float32(1.0) - moves(cloud.icp_points, expected.pose)
         if self.lost:
-            found = self._locator.relocate(cloud, self._motion.pose)
+            found = self._locator.relocate(cloud, self._motion.pose, watch)
         else:
             last = self._motion.pose
             asked = encoded, proposal
             found = self._locator.locate(cloud, asked, expected, last, trust, watch, effort)
-        if isinstance(found, Located) and self._opens(cloud, stamp):
-            cloud, predicted, found = self._opened(cloud, encoded, stamp, found, watch, effort)
+        if isinstance(found, Candidate) and self._opens(cloud, stamp):
+            cloud, found = self._opened(cloud, encoded, stamp, found, watch, effort)
         self._opening = None
         watch.lap('refine')
-        if isinstance(found, Located) and self._is_last_straw(found):
+        if isinstance(found, Candidate) and self._is_last_straw(found):
             found = found.reason
-        if isinstance(found, Located):
-            return self._accept(cloud, encoded, stamp, predicted, found, effort)
+        if isinstance(found, Candidate):
+            return self._accept(cloud, encoded, stamp, found, effort)
         if self.lost and self._give_up(stamp):
             return self._begin(cloud, encoded, stamp, Reason.RECOVERED)
         return self._bad(stamp, found)
@@ -192,7 +191,7 @@ class Tracker:
         leg: F64 = self.covariance + np.diag(spread**2)
         return leg
 
-    def _is_last_straw(self, found: Located) -> bool:
+    def _is_last_straw(self, found: Candidate) -> bool:
         """Whether a tentative pose comes after too many bad frames to be taken."""
         return found.tentative and self._bad_frames + 1 >= self._config.lost.after_bad_frames
 
@@ -207,10 +206,10 @@ class Tracker:
         cloud: PreprocessedScan,
         encoded: Encoded | None,
         stamp: int,
-        found: Located,
+        found: Candidate,
         watch: Watch,
         effort: Effort,
-    ) -> tuple[PreprocessedScan, F64, Located]:
+    ) -> tuple[PreprocessedScan, Candidate]:
         """Make the map of the first scan again, deskewed by the motion that the second shows.
 
         The way between the two shows the velocity, and by how much the second turns faster in that
@@ -220,11 +219,11 @@ class Tracker:
         The pose reported of the first scan stands, so that of its points is found from it.
 
         Returns:
-            The second cloud, deskewed too, its predicted pose, and where it is.
+            The second cloud, deskewed too, and where it is.
         """
         assert self._opening is not None
         (first, since), still, outcome = self._opening, cloud, found
-        begun = predicted = start = self._motion.pose
+        begun = start = self._motion.pose
         dt = self._motion.seconds_to(stamp)
         before, half = first.twist, np.zeros(6)
         for _ in range(_OPENINGS):
@@ -242,9 +241,9 @@ class Tracker:
             again = self._locator.locate(cloud, asked, expected, begun, ones, watch, effort)
             if isinstance(again, Reason):  # the velocity was wrong, so as it was before
                 self._restart(first, start, since)
-                return still, start, found
+                return still, found
             outcome = again
-        return cloud, predicted, outcome
+        return cloud, outcome
 
     def _restart(self, cloud: PreprocessedScan, pose: F64, stamp: int) -> None:
         """Let the map, the past and the newest keyframe be those of one cloud."""
@@ -258,8 +257,7 @@ class Tracker:
         cloud: PreprocessedScan,
         encoded: Encoded | None,
         stamp: int,
-        predicted: F64,
-        found: Located,
+        found: Candidate,
         effort: Effort,
     ) -> Estimate:
         """Write a pose to the chain; what its scan tells the world is left to the estimate."""
@@ -273,13 +271,11 @@ class Tracker:
             cloud, reported = cloud.straightened(intra_scan), cloud.reported(pose, intra_scan)
         if was_lost:
             self._stop(stamp, pose)
+        elif found.confidence >= self._config.gate.enter:
+            self._motion.advance(pose, stamp)
+            self._continuity.end_at(entered, pose, intra_scan, stamp)
         else:
-            self._locator.learn(predicted, pose)
-            if found.confidence >= self._config.gate.enter:
-                self._motion.advance(pose, stamp)
-                self._continuity.end_at(entered, pose, intra_scan, stamp)
-            else:
-                self._hold(pose, stamp)
+            self._hold(pose, stamp)
         self.lost = False
         self._bad_frames = self._bad_frames + 1 if found.tentative else 0
         self.source = found.source
@@ -308,7 +304,7 @@ class Tracker:
             weak_direction=covariance.weak_direction(found.fit.unheld),
         )
 
-    def _own(self, found: Located, ahead_s: float) -> F64:
+    def _own(self, found: Candidate, ahead_s: float) -> F64:
         """Covariance (6, 6) in its surroundings of a pose told `ahead_s` after its instant."""
         fitted = calibration.packaged().covariance_scale[self.sensor.kind]
         factor = self._config.covariance.scale or fitted
@@ -336,7 +332,7 @@ class Tracker:
         around = known.carried(near.T_odom_keyframe, pose, bias)
         return around, min(1.0, keyframes.distance(near, pose))
 
-    def _leg(self, found: Located, stamp: int) -> F64:
+    def _leg(self, found: Candidate, stamp: int) -> F64:
         """Covariance (6, 6) of the ways on which nothing held the pose, the present one included.
 
         What was written to the map on such a way stays as far off as the way was.
@@ -356,7 +352,7 @@ class Tracker:
         cloud: PreprocessedScan,
         encoded: Encoded | None,
         stamp: int,
-        found: Located,
+        found: Candidate,
         static: Callable[[], PointMask | None] | None,
         around: Surroundings,
         watch: Watch,
@@ -387,7 +383,7 @@ class Tracker:
             return None
         return self._learned.point_mask(encoded, keyframe, pose)
 
-    def _pass_over(self, cloud: PreprocessedScan, found: Located, watch: Watch) -> Update:
+    def _pass_over(self, cloud: PreprocessedScan, found: Candidate, watch: Watch) -> Update:
         """Say what moves by what is remembered of its places; the world learns nothing."""
         dynamic = self._world.dynamics.recalled(cloud.points, found.fit.T_odom_sensor)
         watch.lap('dynamics')

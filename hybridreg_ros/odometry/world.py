@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from hybridreg_ros.odometry.keyframes import Keyframe
     from hybridreg_ros.odometry.preprocess import SensorModel
     from hybridreg_ros.odometry.preprocessed import PreprocessedScan
-    from hybridreg_ros.odometry.selection.candidates import Located
+    from hybridreg_ros.odometry.selection.candidates import Candidate
     from hybridreg_ros.odometry.visibility.range_image import RangeImage
 
     F32 = NDArray[np.float32]
@@ -87,7 +87,12 @@ class World:
         return self.dynamics.update(cloud, pose, image, stamp, static), image
 
     def add(
-        self, cloud: PreprocessedScan, stamp: int, found: Located, dynamic: F32, image: RangeImage
+        self,
+        cloud: PreprocessedScan,
+        stamp: int,
+        found: Candidate,
+        dynamic: F32,
+        image: RangeImage,
     ) -> Keyframe | None:
         """Add what stands still in a scan; take off the map what the scan shows to be gone.
 
@@ -116,7 +121,7 @@ class World:
         self.sightings.keep(drawn, () if keyframe is None else self.keyframes)
         return keyframe
 
-    def is_due(self, found: Located, stamp: int) -> bool:
+    def is_due(self, found: Candidate, stamp: int) -> bool:
         """Whether a located scan must become a keyframe."""
         pose, seen = found.fit.T_odom_sensor, found.evidence.seen
         enters = found.adds_to_map(self._config.gate.sure, self._sensor.voxel_size_m)

@@ -143,25 +143,29 @@ def test_a_tentative_pose_changes_neither_the_map_nor_the_past() -> None:
     assert world.sightings._last is not last
 
 
-def test_close_to_the_prediction_is_looked_once_and_only_in_doubt(
+def test_other_ways_than_close_to_the_prediction_are_tried_only_in_doubt(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     reaches: list[float] = []
-    follow_near = Fallback.follow_near
+    follow = Fallback._follow
 
-    def counted(self: Fallback, *args: Any) -> Fit | None:
-        reaches.append(args[4])
-        return follow_near(self, *args)
+    def counted(self: Fallback, scan: Any, guess: Any, reach_m: float, basin: Any) -> Fit:
+        reaches.append(reach_m)
+        return follow(self, scan, guess, reach_m, basin)
 
-    monkeypatch.setattr(Fallback, 'follow_near', counted)
+    monkeypatch.setattr(Fallback, '_follow', counted)
     clouds = scans(walk(7), depth_rays())
     odometry = HybridOdometry(model=None)
-    for scan in clouds[:6]:
+    for scan in clouds[:5]:
         odometry.step(scan)
-    assert reaches == []
-    odometry.step(with_crowd(clouds[6], 6))
+    reaches.clear()
+    odometry.step(clouds[5])
     assert len(reaches) == 1
     assert 0.0 < reaches[0] < 0.1  # metres: the walk is even
+    reaches.clear()
+    odometry.step(with_crowd(clouds[6], 6))
+    assert len(reaches) == 5
+    assert 0.0 < reaches[0] < 0.1 < min(reaches[1:])
 
 
 def test_teleport_is_lost_then_starts_a_new_map_and_says_so() -> None:

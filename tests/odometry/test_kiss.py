@@ -20,7 +20,7 @@ CLOUDS = [cast(ROOM, T, lidar_rays(), seed=k)[0] for k, T in enumerate(POSES)]
 def test_registration_finds_a_small_motion() -> None:
     kiss = KissRegistration(0.15, 20.0)
     kiss.rebuild(CLOUDS[0])
-    found = kiss.align(CLOUDS[1][::5], np.eye(4))
+    found = kiss.align(CLOUDS[1][::5], np.eye(4), 0.3)
     truth = se3.inverse(POSES[0]) @ POSES[1]
     assert se3.rotation_angle_deg((se3.inverse(truth) @ found)[:3, :3]) < 0.5
 
@@ -28,19 +28,19 @@ def test_registration_finds_a_small_motion() -> None:
 def test_few_points_empty_map_and_wild_guess_are_errors() -> None:
     kiss = KissRegistration(0.15, 20.0)
     with pytest.raises(RegistrationError, match='needs a map and 10 points, found 3'):
-        kiss.align(CLOUDS[0][:3], np.eye(4))
+        kiss.align(CLOUDS[0][:3], np.eye(4), 0.3)
     with pytest.raises(RegistrationError, match='needs a map'):
-        kiss.align(CLOUDS[0], np.eye(4))
+        kiss.align(CLOUDS[0], np.eye(4), 0.3)
     kiss.rebuild(CLOUDS[0])
     with pytest.raises(RegistrationError, match='first guess is not a rigid transform'):
-        kiss.align(CLOUDS[0], np.full((4, 4), np.nan))
+        kiss.align(CLOUDS[0], np.full((4, 4), np.nan), 0.3)
 
 
 def test_nan_and_absurd_points_are_left_out() -> None:
     kiss = KissRegistration(0.15, 20.0)
     wild = np.array([[np.nan, 0, 0], [1e9, 0, 0], [0, -np.inf, 0]])
     kiss.rebuild(np.concatenate([wild, CLOUDS[0]]))
-    found = kiss.align(np.concatenate([CLOUDS[0][::5], wild]), np.eye(4))
+    found = kiss.align(np.concatenate([CLOUDS[0][::5], wild]), np.eye(4), 0.3)
     np.testing.assert_allclose(found, np.eye(4), atol=0.01)
 
 
@@ -49,7 +49,7 @@ def test_rebuild_replaces_the_map() -> None:
     kiss.rebuild(CLOUDS[0])
     kiss.rebuild(np.zeros((0, 3)))
     with pytest.raises(RegistrationError, match='needs a map'):
-        kiss.align(CLOUDS[0], np.eye(4))
+        kiss.align(CLOUDS[0], np.eye(4), 0.3)
 
 
 @pytest.mark.parametrize('times', [None, 'equal', 'nan', 'short', 'empty', 'good'], ids=str)

@@ -35,12 +35,7 @@ from hybridreg_ros.odometry.preprocess import (
 from hybridreg_ros.odometry.registration import covariance
 from hybridreg_ros.odometry.registration.alignment import align, assess
 from hybridreg_ros.odometry.result import LOST_VARIANCE, Reason
-from hybridreg_ros.odometry.selection.pose_confidence import (
-    PoseEvidence,
-    judge,
-    of_evidence,
-    worst_axis,
-)
+from hybridreg_ros.odometry.selection.pose_confidence import PoseEvidence, of_evidence, worst_axis
 from hybridreg_ros.odometry.visibility.range_image import (
     BEHIND,
     FRONT,
@@ -302,7 +297,7 @@ def test_thing_that_came_stands_in_front() -> None:
     assert np.mean(stand[~moving] == FRONT) < 0.001
 
 
-def test_confidence_orders_evidence_and_judges_faults() -> None:
+def test_confidence_orders_evidence() -> None:
     good, poor = PoseEvidence(0.95, 0.9, 0.97, 0.0, -2.7), PoseEvidence(0.55, 0.9, 0.6, 0.0, -2.0)
     assert of_evidence(good) > 0.95 > 0.75 > of_evidence(poor) > 0.02
     assert (
@@ -311,14 +306,6 @@ def test_confidence_orders_evidence_and_judges_faults() -> None:
     assert (
         worst_axis(1e-5) == worst_axis(0.003) < worst_axis(0.03) == pytest.approx(-1.523, abs=1e-3)
     )
-    far = pose(30.0, 0.0, 0.0)
-    at = np.eye(4)
-    assert judge(good, at, at, 0.1, 0.1, 0.0).fault is None
-    assert judge(poor, far, at, 0.1, 0.1, 0.0).fault is Reason.DISAGREES_WITH_MOTION
-    assert judge(good, far, at, 0.1, 0.1, 0.0).fault is None
-    assert judge(PoseEvidence(0.1, 0.9, 0.9), at, at, 0.1, 0.1, 0.0).fault is Reason.NO_OVERLAP
-    hanging = PoseEvidence(0.9, 0.9, 0.1)
-    assert judge(hanging, at, at, 0.1, 0.1, 0.0).fault is Reason.REFINEMENT_FAILED
 
 
 def test_intake_rebases_only_on_a_steady_new_time_base() -> None:

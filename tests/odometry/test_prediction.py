@@ -17,7 +17,7 @@ from hybridreg_ros.odometry.motion.prediction import Expected, Motion
 from hybridreg_ros.odometry.preprocess import preprocess, recognise_sensor
 from hybridreg_ros.odometry.registration.alignment import Fit, align, believed
 from hybridreg_ros.odometry.result import Reason, Source
-from hybridreg_ros.odometry.selection.candidates import Located
+from hybridreg_ros.odometry.selection.candidates import Candidate
 from hybridreg_ros.odometry.selection.pose_confidence import PoseEvidence, worst_axis
 
 FRAME = NS_PER_S // 10
@@ -147,8 +147,15 @@ def test_a_doubtful_or_loose_scan_is_written_only_where_the_map_is_empty(
     confidence: float, held_m: float, overlap: float, tentative: bool, written: bool
 ) -> None:
     fit = Fit(np.eye(4), np.eye(6), overlap, 1e-6 * np.eye(6))
-    evidence = PoseEvidence(overlap, 1.0, 0.9, worst_axis=worst_axis(held_m))
-    found = Located(
-        fit, evidence, Source.KISS_ICP, Reason.OK, confidence, confidence, tentative=tentative
+    evidence = PoseEvidence(overlap, 1.0, 1.0, worst_axis=worst_axis(held_m))
+    found = Candidate(
+        fit,
+        Source.HYBRIDREG,
+        Reason.OK,
+        evidence,
+        fit.T_odom_sensor,
+        vouched=confidence,
+        tentative=tentative,
     )
+    assert found.confidence == confidence
     assert found.adds_to_map(GateConfig().sure, 0.05) is written

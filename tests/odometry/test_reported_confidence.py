@@ -12,23 +12,23 @@ import pytest
 from tiny_world import Box, lidar_rays, pose, scans
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.odometry.config import OdometryConfig
+from hybridreg_ros.odometry.config import GateConfig, OdometryConfig
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.motion.prediction import Expected, Motion
 from hybridreg_ros.odometry.registration.alignment import Fit
-from hybridreg_ros.odometry.result import Reason
+from hybridreg_ros.odometry.result import Reason, Source
 from hybridreg_ros.odometry.selection import calibration
 from hybridreg_ros.odometry.selection.candidates import (
+    AGAINST,
+    UNHELD,
     Candidate,
-    against_motion,
     innovation,
     is_worth_it,
     log_odds,
-    rank,
     runner_up,
 )
 from hybridreg_ros.odometry.selection.fallback import Fallback
-from hybridreg_ros.odometry.selection.pose_confidence import PoseEvidence, Verdict, of_evidence
+from hybridreg_ros.odometry.selection.pose_confidence import PoseEvidence, of_evidence
 from hybridreg_ros.odometry.selection.reported_confidence import ReportedConfidence
 
 PERIOD_M = 1.0
@@ -40,9 +40,15 @@ def moved(x: float, degrees: float) -> np.ndarray:
     return pose(x, 0.0, degrees, z=0.0)
 
 
-def candidate(T: np.ndarray, confidence: float) -> Candidate:
-    fit = Fit(T, np.eye(6), 1.0, 1e-6 * np.eye(6))
-    return Candidate(fit, PoseEvidence(1.0, 1.0, 1.0), Verdict(confidence, None), T)
+def candidate(T: np.ndarray, confidence: float, unheld: bool = False) -> Candidate:
+    """One of which the evidence alone says so much."""
+    fit = Fit(T, np.eye(6), 1.0, 1e-6 * np.eye(6), unheld=np.eye(6) * unheld)
+    model = calibration.packaged().evidence
+    rest = model.bias - 2.5 * model.weights['worst_axis']
+    consistent = (log_odds(confidence) - rest) / model.weights['consistent']
+    evidence = PoseEvidence(1.0, 1.0, consistent, 0.0, -2.5)
+    assert of_evidence(evidence) == pytest.approx(confidence)
+    return Candidate(fit, Source.KISS_ICP, Reason.OK, evidence, T)
 
 
 def test_innovation_is_the_deviation_in_voxels_and_degrees_and_what_is_usual() -> None:
@@ -67,15 +73,6 @@ def test_no_motion_is_known_before_the_second_pose() -> None:
     assert not motion.expect(300_000_000).known
 
 
-def test_out_of_reach_is_what_no_acceleration_explains() -> None:
-    soon, later = (Expected(AT, 0.01, 0.01, seconds) for seconds in (0.1, 0.5))
-    assert soon.is_out_of_reach(AT @ moved(0.11, 0.0))
-    assert soon.is_out_of_reach(AT @ moved(0.0, 6.0))
-    assert not soon.is_out_of_reach(AT @ moved(0.09, 5.0))
-    assert not later.is_out_of_reach(AT @ moved(2.4, 100.0))
-    assert not replace(soon, known=False).is_out_of_reach(AT @ moved(9.0, 90.0))
-
-
 def test_a_rival_is_another_pose_as_plausible() -> None:
     same, near = candidate(AT, 0.9), candidate(AT @ moved(0.05, 0.0), 0.8)
     far, poor = candidate(AT @ moved(0.0, 3.0), 0.6), candidate(AT @ moved(1.0, 0.0), 0.1)
@@ -87,38 +84,41 @@ def test_a_rival_is_another_pose_as_plausible() -> None:
 
 def test_a_pose_that_little_speaks_for_is_worth_it_only_as_expected_and_without_a_rival() -> None:
     doubtful = replace(candidate(AT, 0.01), innovation=-0.5)
-    poor = replace(candidate(AT @ moved(0.3, 0.0), 0.1), evidence=PoseEvidence(0.9, 0.9, 0.6, 0.3))
-    assert 0.01 < of_evidence(poor.evidence) < 0.3
+    poor = candidate(AT @ moved(0.3, 0.0), 0.2)
     assert is_worth_it(doubtful, [doubtful, poor], 0.1, 0.3)
     assert not is_worth_it(replace(doubtful, innovation=0.1), [doubtful, poor], 0.1, 0.3)
-    # One that the motion refuses counts by what speaks for it; one that is the same does not.
-    refused = Verdict(0.0, Reason.DISAGREES_WITH_MOTION)
-    better = replace(candidate(AT @ moved(0.3, 20.0), 0.0), verdict=refused)
-    assert of_evidence(better.evidence) > 0.5
+    # One that the motion speaks against counts by what it sees; one that is the same does not.
+    better = replace(candidate(AT @ moved(0.3, 20.0), 0.9), innovation=2.0)
+    assert better.score < 0.0
     assert runner_up(AT, [better], 0.1) == 0.0
     assert not is_worth_it(doubtful, [doubtful, poor, better], 0.1, 0.3)
     assert is_worth_it(doubtful, [doubtful, candidate(AT @ moved(0.001, 0.0), 0.9)], 0.1, 0.3)
 
 
 def test_far_poses_lose_to_near_ones_that_fit_almost_as_well() -> None:
-    assert against_motion(0.9, -1.0) == against_motion(0.9, 0.0) == pytest.approx(log_odds(0.9))
-    assert against_motion(0.9, 1.0) < 0.0 < against_motion(0.7, 0.0) < against_motion(0.99, 0.5)
+    sure, fair, best = (candidate(AT, p) for p in (0.9, 0.7, 0.99))
+    assert sure.score == replace(sure, innovation=-1.0).score == pytest.approx(log_odds(0.9))
+    far = replace(sure, innovation=1.0)
+    assert far.score == pytest.approx(sure.score - AGAINST)
+    assert far.score < 0.0 < fair.score < replace(best, innovation=0.5).score
 
 
-def test_a_stiff_pose_beats_a_loose_one_only_where_the_motion_is_old() -> None:
-    loose, stiff = (
-        PoseEvidence(0.97, 0.9, 0.96, 0.03, -1.3),
-        PoseEvidence(0.96, 0.9, 0.96, 0.03, -2.3),
-    )
-    fine = [Verdict(of_evidence(e), None) for e in (loose, stiff)]
-    soon = [rank(e, v, s, True) for e, v, s in zip((loose, stiff), fine, (-0.3, 0.3), strict=True)]
-    late = [
-        rank(e, v, s, False) for e, v, s in zip((loose, stiff), fine, (-0.3, 0.3), strict=True)
-    ]
-    assert soon[0] > soon[1]
-    assert late[0] < late[1]
-    fault = Verdict(0.0, Reason.NO_OVERLAP)
-    assert rank(stiff, fault, -1.0, True) == rank(stiff, fault, -1.0, False) == -np.inf
+def test_a_pose_that_nothing_holds_ranks_as_the_prediction_and_one_unseen_last() -> None:
+    held, loose = candidate(AT, 0.9), candidate(AT, 0.95, unheld=True)
+    assert loose.score > held.score > loose.rank
+    assert loose.rank == pytest.approx(loose.score + log_odds(UNHELD))
+    unseen = replace(held, evidence=replace(held.evidence, seen=0.1))
+    assert not unseen.is_seen
+    assert unseen.confidence == unseen.evident == 0.0
+    assert unseen.rank < candidate(AT, 0.01).rank
+
+
+def test_the_network_may_doubt_its_own_pose() -> None:
+    found = candidate(AT, 0.9)
+    assert found.confidence == found.evident
+    doubted = replace(found, vouched=0.8)
+    assert doubted.confidence == 0.8
+    assert doubted.rank == found.rank
 
 
 def test_confidence_falls_with_all_that_speaks_against_a_pose() -> None:
@@ -156,20 +156,16 @@ def _colonnade() -> tuple[Box, ...]:
 def test_a_pose_one_pillar_further_on_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     poses = [pose(0.02 * k, 0.0, 0.0) for k in range(12)]
     clouds = scans(poses, lidar_rays(360, 32), world=_colonnade())
-    follow, wide = Fallback.follow, []
+    locate = Fallback._locate
 
-    def pillar_off(self: Fallback, cloud: Any, guess: np.ndarray, *how: Any, **so: Any) -> Any:
-        """As if a wide search had slipped by a period, from the eighth scan on."""
-        fit = follow(self, cloud, guess, *how, **so)
-        if so.get('near'):
-            return fit
-        wide.append(fit)
-        if len(wide) < 8:
-            return fit
+    def pillar_off(self: Fallback, *how: Any) -> Fit:
+        """As if a wide search slipped by a period."""
+        fit = locate(self, *how)
         return replace(fit, T_odom_sensor=fit.T_odom_sensor @ moved(PERIOD_M, 0.0))
 
-    monkeypatch.setattr(Fallback, 'follow', pillar_off)
-    odometry = HybridOdometry(OdometryConfig(registrar='kiss-icp'), model=None)
+    monkeypatch.setattr(Fallback, '_locate', pillar_off)
+    config = OdometryConfig(registrar='kiss-icp', gate=GateConfig(sure=1.0))  # all ways are tried
+    odometry = HybridOdometry(config, model=None)
     results = [odometry.step(scan) for scan in clouds]
     off = [
         np.linalg.norm((se3.inverse(se3.inverse(poses[0]) @ T) @ r.pose)[:3, 3])

@@ -305,13 +305,14 @@ def test_predictions_are_off_only_in_jolted_runs(monkeypatch: pytest.MonkeyPatch
 
 def test_distinct_leaves_repetitions_out() -> None:
     from hybridreg_ros.odometry.registration.alignment import Fit
+    from hybridreg_ros.odometry.result import Reason, Source
     from hybridreg_ros.odometry.selection.candidates import Candidate
-    from hybridreg_ros.odometry.selection.pose_confidence import PoseEvidence, Verdict
+    from hybridreg_ros.odometry.selection.pose_confidence import PoseEvidence
 
     def at(x: float) -> Candidate:
         pose = se3.transform(np.eye(3), np.array([x, 0.0, 0.0]))
         fit = Fit(pose, np.eye(6), 1.0, 1e-6 * np.eye(6))
-        return Candidate(fit, PoseEvidence(1.0, 1.0, 1.0), Verdict(1.0, None), fit.T_odom_sensor)
+        return Candidate(fit, Source.KISS_ICP, Reason.OK, PoseEvidence(1.0, 1.0, 1.0), pose)
 
     assert len(suite_fit._distinct([at(0.0), at(0.002), at(0.5), at(0.501)])) == 2
 

@@ -29,8 +29,6 @@ _MEDIAN_ABS = 0.6745
 """Median size of a normal variable."""
 _LEAST_SHARE = 0.3
 """The angular velocity varies about each axis at least by this share of its mean over all."""
-_HARDEST = np.array([20.0, 20.0])
-"""Largest acceleration of a sensor in use, m/s^2 and rad/s^2: hands, legs and cars stay below."""
 _LONGEST_S = 2.0
 """For so long a velocity goes on as it was; after a longer pause a sensor is as likely to have
 stopped or turned, and is looked for where it would be then."""
@@ -70,14 +68,6 @@ class Expected:
         delta = se3.inverse(self.pose) @ pose
         turn = se3.so3_log(delta[:3, :3]) / self.turn_rad
         return np.concatenate([delta[:3, 3] / self.shift_m, turn])
-
-    def is_out_of_reach(self, pose: F64) -> bool:
-        """Whether no acceleration that sensors stand leads to a pose (4, 4) in the time passed."""
-        delta = se3.inverse(self.pose) @ pose
-        shift_m = float(np.linalg.norm(delta[:3, 3]))
-        turn_rad = float(np.linalg.norm(se3.so3_log(delta[:3, :3])))
-        reach_m, reach_rad = 0.5 * _HARDEST * max(self.seconds, 0.0) ** 2
-        return self.known and (shift_m > reach_m or turn_rad > reach_rad)
 
     def pull(self, pose: F64) -> tuple[F64, F64]:
         """What it adds to the Gauss-Newton system of a pose (4, 4), odom axes.

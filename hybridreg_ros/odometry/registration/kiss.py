@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -44,7 +43,7 @@ def guarded(points: NDArray[np.floating]) -> F64:
 
 
 class KissRegistration:
-    """kiss-icp's point-to-point registration and adaptive threshold on a copy of the local map.
+    """kiss-icp's point-to-point registration on a copy of the local map.
 
     Args:
         voxel_size_m: voxel of the map.
@@ -52,8 +51,6 @@ class KissRegistration:
         points_per_voxel: most points kept per voxel.
         max_iterations: bound on the iterations of one registration, so also on its time.
         threads: threads of one registration.
-        initial_threshold_m: first correspondence threshold (kiss-icp: 2 m).
-        min_motion_m: deviations below it do not widen the threshold (kiss-icp: 0.1 m).
         convergence: a step of a smaller norm (metres, radians) ends it (kiss-icp: 1e-4).
 
     Raises:
@@ -67,39 +64,23 @@ class KissRegistration:
         points_per_voxel: int = 20,
         max_iterations: int = 100,
         threads: int = 1,
-        initial_threshold_m: float = 2.0,
-        min_motion_m: float = 0.1,
         convergence: float = 1e-4,
     ) -> None:
         require_kiss_icp()
         from kiss_icp.mapping import VoxelHashMap
         from kiss_icp.registration import Registration
-        from kiss_icp.threshold import AdaptiveThreshold
 
         self._map = VoxelHashMap(voxel_size_m, max_range_m, points_per_voxel)
         self._registration = Registration(max_iterations, convergence, threads)
-        self._threshold = AdaptiveThreshold(
-            SimpleNamespace(
-                adaptive_threshold=SimpleNamespace(
-                    initial_threshold=initial_threshold_m, min_motion_th=min_motion_m
-                ),
-                data=SimpleNamespace(max_range=max_range_m),
-            )
-        )
 
-    @property
-    def threshold_m(self) -> float:
-        """Current standard deviation of the motion model's error, metres."""
-        return float(self._threshold.get_threshold())
-
-    def align(self, points: NDArray[np.floating], guess: F64, reach_m: float | None = None) -> F64:
+    def align(self, points: NDArray[np.floating], guess: F64, reach_m: float) -> F64:
         """Register points with the map.
 
         Args:
             points: (N, 3), sensor frame, metres, thinned.
             guess: (4, 4) T_odom_sensor to start from.
-            reach_m: standard deviation of its error when that is known to be smaller than the
-                adaptive threshold, metres.
+            reach_m: standard deviation of its error, metres, > 0; partners are looked for within
+                three of them.
 
         Returns:
             T_odom_sensor (4, 4).
@@ -115,22 +96,14 @@ class KissRegistration:
             )
         if not se3.is_rigid(guess) or np.abs(guess).max() > LARGEST_COORDINATE_M:
             raise RegistrationError('kiss-icp: the first guess is not a rigid transform in range')
-        sigma = self.threshold_m
-        if not np.isfinite(sigma) or sigma <= 0.0:
-            raise RegistrationError(f'kiss-icp: adaptive threshold is {sigma}')
-        sigma = sigma if reach_m is None else min(sigma, reach_m)
         pose = np.asarray(
-            self._registration.align_points_to_map(usable, self._map, guess, 3.0 * sigma, sigma)
+            self._registration.align_points_to_map(
+                usable, self._map, guess, 3.0 * reach_m, reach_m
+            )
         )
         if not se3.is_rigid(pose):
             raise RegistrationError('kiss-icp: the pose found is not a rigid transform')
         return se3.orthonormalise(pose)
-
-    def learn(self, guess: F64, pose: F64) -> None:
-        """Tell the adaptive threshold how far a prediction was from the accepted pose."""
-        deviation = se3.orthonormalise(se3.inverse(guess) @ pose)
-        if np.isfinite(deviation).all():
-            self._threshold.update_model_deviation(deviation)
 
     def rebuild(self, points: NDArray[np.floating]) -> None:
         """Start again from the points (N, 3), odom frame, of the local map."""

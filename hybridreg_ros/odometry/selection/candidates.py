@@ -1,37 +1,42 @@
 # SPDX-FileCopyrightText: 2026 The hybridreg_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Poses under judgement and poses that passed."""
+"""Candidates: poses that were found for a scan, each with what speaks for it."""
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.core.errors import RegistrationError
-from hybridreg_ros.odometry.result import Reason, Source
-from hybridreg_ros.odometry.selection.pose_confidence import FIRM, of_evidence, worst_axis
+from hybridreg_ros.odometry.result import Reason, Source  # noqa: TC001 (fields)
+from hybridreg_ros.odometry.selection.pose_confidence import of_evidence, worst_axis
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
     from hybridreg_ros.odometry.motion.prediction import Expected
+    from hybridreg_ros.odometry.network_branch import Proposal
+    from hybridreg_ros.odometry.preprocessed import PreprocessedScan
     from hybridreg_ros.odometry.registration.alignment import Fit
-    from hybridreg_ros.odometry.selection.pose_confidence import PoseEvidence, Verdict
+    from hybridreg_ros.odometry.selection.pose_confidence import PoseEvidence
 
+    F32 = NDArray[np.float32]
     F64 = NDArray[np.float64]
 
-_log = logging.getLogger(__name__)
-
+_SEEN = 0.2
+"""Least share of the points that must find the map, and lie in directions seen: evidence of fewer
+is none."""
 _FIRM = 0.2
 """Largest standard deviation along the worst axis, voxels, of a scan that may change the map."""
 _KNOWN = 0.8
 """Share of the points that must find the map for it to show the place already."""
+_LEFT = 0.2
+"""A mask of the network that leaves less of the trusted points says that it recognises nothing,
+not that all of them move: poses are judged without it."""
 UNHELD = 0.3
 """P(right) of a pose along a direction that nothing holds: a normal error of 0.5 m is within 0.2 m
 with this probability."""
@@ -41,107 +46,87 @@ logistic models fitted to poses of development sequences have it (2.7 to 3.5).""
 
 
 @dataclass(frozen=True, eq=False)
-class Located:
-    """A pose that passed its checks.
+class Sought:
+    """A scan whose pose is looked for.
+
+    Attributes:
+        cloud: the preprocessed scan.
+        trust: (K,) weight per registered point, [0, 1].
+        still: (K,) the same of the points by which poses are judged.
+        expected: pose by constant velocity; None = nothing is expected.
+        prior: the same, as wide as it may hold a pose.
+    """
+
+    cloud: PreprocessedScan
+    trust: F32
+    still: F32
+    expected: Expected | None = None
+    prior: Expected | None = None
+
+    def judged_by(self, proposal: Proposal | None) -> Sought:
+        """It, judged without the points that the mask of the network knows to move."""
+        if proposal is None:
+            return replace(self, still=self.trust)
+        still = self.trust * (1.0 - proposal.uncertainty[self.cloud.icp_in_map])
+        knows = (still > 0.5).sum() >= _LEFT * (self.trust > 0.5).sum()
+        return replace(self, still=still if knows else self.trust)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A pose found for a scan.
 
     Attributes:
         fit: the pose in the map.
-        evidence: what speaks for it.
         source: the branch that made it.
         reason: why that branch.
-        confidence: P(pose right) by the evidence and, of its poses, the network, [0, 1].
-        evident: by the evidence alone, [0, 1].
-        innovation: how far it is off the predicted pose (`innovation`).
-        rank: by which the best of several is chosen (`rank`).
+        evidence: what speaks for the pose.
+        reported: (4, 4) it at the instant that is asked for.
+        innovation: how far it is off the predicted one (`innovation`).
+        vouched: confidence of the network in its own pose, [0, 1]; 1 of the other branch.
         tentative: taken only since it is as the motion leads one to expect: better than none, but
             its scan is a bad one.
     """
 
     fit: Fit
-    evidence: PoseEvidence
     source: Source
     reason: Reason
-    confidence: float
-    evident: float
+    evidence: PoseEvidence
+    reported: F64
     innovation: float = 0.0
-    rank: float = 0.0
+    vouched: float = 1.0
     tentative: bool = False
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether enough is known of where it stands to judge it at all."""
+        return min(self.evidence.overlap, self.evidence.seen) >= _SEEN
+
+    @property
+    def evident(self) -> float:
+        """P(pose right) by the evidence alone, [0, 1]."""
+        return of_evidence(self.evidence) if self.is_seen else 0.0
+
+    @property
+    def confidence(self) -> float:
+        """P(pose right) by the evidence and, of its poses, the network, [0, 1]."""
+        return min(self.vouched, self.evident)
+
+    @property
+    def score(self) -> float:
+        """Log odds that it is right: by the evidence, less by its distance from the prediction."""
+        return log_odds(self.evident) - AGAINST * max(0.0, self.innovation)
+
+    @property
+    def rank(self) -> float:
+        """By which the best of several is chosen: what nothing holds is as the prediction is."""
+        return self.score + (log_odds(UNHELD) if self.fit.unheld.any() else 0.0)
 
     def adds_to_map(self, sure: float, voxel_size_m: float) -> bool:
         """Whether the scan enters the map: not in doubt or held loosely where the map shows it."""
         firm = self.evidence.worst_axis <= worst_axis(_FIRM * voxel_size_m)
         known = self.evidence.overlap >= _KNOWN
         return (self.confidence >= sure and firm) or not (self.tentative or known)
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """A pose under judgement.
-
-    Attributes:
-        fit: the pose in the map.
-        evidence: what speaks for it.
-        verdict: confidence by the evidence, and faults.
-        reported: (4, 4) it at the instant that is asked for.
-        innovation: how far it is off the predicted one (`innovation`).
-        rank: by which the best of several is chosen (`rank`).
-    """
-
-    fit: Fit
-    evidence: PoseEvidence
-    verdict: Verdict
-    reported: F64
-    innovation: float = 0.0
-    rank: float = 0.0
-
-
-def rank(
-    evidence: PoseEvidence, verdict: Verdict, innovation: float, soon: bool, held: bool = True
-) -> float:
-    """Order of the poses found for one scan: log odds by the evidence, less by distance.
-
-    How loosely a pose is held says how far off it may be, not which of two is the right one: a
-    wrong one is often the stiffer. So that does not count where the motion says where the scan is.
-    One that nothing holds along a direction is only as good there as the prediction.
-
-    Args:
-        evidence: what speaks for the pose.
-        verdict: its confidence and faults; a pose with a fault comes last.
-        innovation: how far it is off the predicted one (`innovation`).
-        soon: whether the scan follows the last one closely.
-        held: whether surfaces hold the pose in all directions.
-    """
-    if verdict.fault is not None:
-        return -np.inf
-    firm = of_evidence(replace(evidence, worst_axis=FIRM)) if soon else verdict.confidence
-    return against_motion(firm if held else UNHELD * firm, innovation)
-
-
-def against_motion(confidence: float, innovation: float) -> float:
-    """Log odds of a pose by the evidence, less by its distance from the predicted one.
-
-    Args:
-        confidence: by the evidence, [0, 1].
-        innovation: how far the pose is off the predicted one (`innovation`); below 0 it
-            does not count, since then it is within what is usual.
-    """
-    return log_odds(confidence) - AGAINST * max(0.0, innovation)
-
-
-def located_by_kiss(found: Candidate, reason: Reason, tentative: bool = False) -> Located:
-    """A pose that kiss-icp made; its evidence is all that speaks for it."""
-    confidence = found.verdict.confidence
-    return Located(
-        found.fit,
-        found.evidence,
-        Source.KISS_ICP,
-        reason,
-        confidence,
-        confidence,
-        innovation=found.innovation,
-        rank=found.rank,
-        tentative=tentative,
-    )
 
 
 def is_worth_it(
@@ -159,27 +144,11 @@ def is_worth_it(
         accept: confidence from which another one speaks against it.
     """
     pose = doubtful.fit.T_odom_sensor
-    return (
-        doubtful.innovation < 0.0
-        and runner_up(pose, considered, voxel_size_m, refused=True) < accept
+    rivals = (
+        c.evident * min(1.0, apart(pose, c.fit.T_odom_sensor, voxel_size_m, 1.0))
+        for c in considered
     )
-
-
-def better(one: Candidate | None, other: Candidate | None) -> Candidate | None:
-    """The one of higher rank; the first when they are equal."""
-    if one is None or other is None:
-        return one or other
-    return other if other.rank > one.rank else one
-
-
-def tried(way: Callable[[], Fit | None], check: Callable[[Fit], Candidate]) -> Candidate | None:
-    """Outcome of one way to register, judged; None when it cannot, or finds nothing new."""
-    try:
-        fit = way()
-        return None if fit is None else check(fit)
-    except RegistrationError as error:
-        _log.debug('fallback: %s', error)
-        return None
+    return doubtful.innovation < 0.0 and max(rivals) < accept
 
 
 _USUAL = 0.1
@@ -218,25 +187,23 @@ def innovation(pose: F64, expected: Expected | None, voxel_size_m: float) -> flo
     return float(np.log10(_USUAL + apart(expected.pose, pose, *usual)))
 
 
-def runner_up(
-    pose: F64, considered: Iterable[Candidate], voxel_size_m: float, refused: bool = False
-) -> float:
+def runner_up(pose: F64, considered: Iterable[Candidate], voxel_size_m: float) -> float:
     """How plausible the surest pose is that another way led to.
 
     Args:
         pose: (4, 4) the pose that was chosen.
         considered: every pose that was judged for its scan.
         voxel_size_m: one so far off, or off by one degree, is a different pose; one nearer counts
-            by its distance.
-        refused: whether those that failed a check count too, by what speaks for them.
+            by its distance. One that is likelier wrong than right, as far as it is off the
+            prediction, is none.
 
     Returns:
         Its confidence, [0, 1].
     """
     others = (
-        (of_evidence(c.evidence) if refused else c.verdict.confidence)
-        * min(1.0, apart(pose, c.fit.T_odom_sensor, voxel_size_m, 1.0))
+        c.evident * min(1.0, apart(pose, c.fit.T_odom_sensor, voxel_size_m, 1.0))
         for c in considered
+        if c.score >= 0.0
     )
     return max(others, default=0.0)
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hybridreg_ros.odometry.selection.candidates import Candidate, Located
+    from hybridreg_ros.odometry.selection.candidates import Candidate
 
     F64 = NDArray[np.float64]
 
@@ -59,7 +59,9 @@ class ReportedConfidence:
         return float(min(calibration.packaged().confidence.probability(self), most))
 
 
-def of(found: Located, considered: Iterable[Candidate], voxel_size_m: float) -> ReportedConfidence:
+def of(
+    found: Candidate, considered: Iterable[Candidate], voxel_size_m: float
+) -> ReportedConfidence:
     """The confidence of a pose, with what it follows from.
 
     Args:

@@ -202,15 +202,15 @@ class GateConfig(Section):
     )
     enter: float = option(
         0.7,
-        'confidence at which a pose of the network is looked at, and any pose moves the motion '
-        'model',
+        'confidence below which the doubt of the network counts against its pose, and a pose does '
+        'not move the motion model',
         low=0.0,
         high=1.0,
     )
     accept: float = option(
         0.3,
         'a pose of lower confidence makes a bad frame, and is used only where it agrees with '
-        'the motion model',
+        'the motion model; one of the network is not looked at',
         low=0.0,
         high=1.0,
     )

@@ -154,7 +154,7 @@ class Locator:
         for proposal in proposals:
             watch.lap('match')
             why, scan = Reason.LOW_CONFIDENCE, scan.judged_by(proposal)
-            if proposal is not None and proposal.confidence >= self._config.gate.enter:
+            if proposal is not None and proposal.confidence >= self._config.gate.accept:
                 why = self._by_network(scan, proposal)
             watch.lap('refine')
             if self._is_sure():
@@ -244,7 +244,7 @@ class Locator:
         return best.pose, 'fine' if sure else 'near'
 
     def _best(self) -> Candidate:
-        """The candidate of the highest rank so far; at its place, one of the network that is sure.
+        """The candidate of the highest rank so far; at its place, one that the network is sure of.
 
         Two ways to one place tell of the same pose, unless what the scan sees from it (bent by
         another motion within the scan, say) speaks for one alone.
@@ -254,7 +254,9 @@ class Locator:
         same = [
             c
             for c in self.judged
-            if c.rank > sure and apart(c.fit.T_odom_sensor, pose, self._voxel_m, 1.0) < 1.0
+            if c.rank > sure
+            and c.doubt == 0.0
+            and apart(c.fit.T_odom_sensor, pose, self._voxel_m, 1.0) < 1.0
         ]
         return max(same, key=lambda c: (c.source is Source.HYBRIDREG, c.rank), default=best)
 
@@ -315,6 +317,7 @@ class Locator:
         )
         reported = cloud.reported(pose, fit.intra_scan)
         off = innovation(pose, scan.expected, self._voxel_m)
-        candidate = Candidate(fit, source, reason, evidence, reported, off, vouched)
+        doubt = max(0.0, log_odds(self._config.gate.enter) - log_odds(vouched))
+        candidate = Candidate(fit, source, reason, evidence, reported, off, vouched, doubt)
         self.judged.append(candidate)
         return candidate

@@ -12,7 +12,7 @@ from neighbourhood_registrar import NeighbourhoodRegistrar
 from tiny_world import lidar_rays, pose, scans, walk
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.core.errors import ConfigError
+from hybridreg_ros.core.errors import ConfigError, RegistrationError
 from hybridreg_ros.core.scan import Scan
 from hybridreg_ros.model.budget import Budget
 from hybridreg_ros.odometry import tracker
@@ -25,6 +25,7 @@ from hybridreg_ros.odometry.config import (
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.keyframes import Keyframe
 from hybridreg_ros.odometry.network_branch import LearnedBranch
+from hybridreg_ros.odometry.registration.kiss import KissRegistration
 from hybridreg_ros.odometry.result import OdometryResult, Reason, Source
 
 RAYS = lidar_rays()
@@ -127,6 +128,26 @@ def test_switch_has_hysteresis_and_no_jump() -> None:
     assert worst_error_m(results, poses) < 0.02
     steps = np.diff([r.pose[:3, 3] for r in results], axis=0)
     np.testing.assert_allclose(np.linalg.norm(steps, axis=1), 0.08, atol=0.02)
+
+
+def test_a_pose_that_the_network_doubts_is_taken_where_nothing_better_is_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refusing(*_: object) -> None:
+        raise RegistrationError('no')
+
+    monkeypatch.setattr(KissRegistration, 'align', refusing)
+    poses = walk(10)
+    registrar = NeighbourhoodRegistrar()
+    odometry = HybridOdometry(ASKING, model=registrar)
+    results = []
+    for k, scan in enumerate(scans(poses, RAYS)):
+        registrar.dim = {7: 0.6, 8: 0.1}.get(k, 1.0)
+        results.append(odometry.step(scan))
+    assert results[7].source is Source.HYBRIDREG
+    assert 0.3 < results[7].confidence <= 0.6
+    assert results[8].confidence == 0.0  # not even looked at
+    assert worst_error_m(results, poses) < 0.02
 
 
 def test_a_mask_that_leaves_nothing_is_no_evidence_against_a_pose() -> None:

@@ -116,9 +116,9 @@ def test_a_pose_that_nothing_holds_ranks_as_the_prediction_and_one_unseen_last()
 def test_the_network_may_doubt_its_own_pose() -> None:
     found = candidate(AT, 0.9)
     assert found.confidence == found.evident
-    doubted = replace(found, vouched=0.8)
-    assert doubted.confidence == 0.8
-    assert doubted.rank == found.rank
+    doubted = replace(found, vouched=0.6, doubt=0.4)
+    assert doubted.confidence == 0.6
+    assert doubted.rank == pytest.approx(found.rank - 0.4)
 
 
 def test_confidence_falls_with_all_that_speaks_against_a_pose() -> None:

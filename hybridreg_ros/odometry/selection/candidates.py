@@ -84,6 +84,7 @@ class Candidate:
         reported: (4, 4) it at the instant that is asked for.
         innovation: how far it is off the predicted one (`innovation`).
         vouched: confidence of the network in its own pose, [0, 1]; 1 of the other branch.
+        doubt: log odds by which that is less than what a pose must have to be trusted.
         tentative: taken only since it is as the motion leads one to expect: better than none, but
             its scan is a bad one.
     """
@@ -95,6 +96,7 @@ class Candidate:
     reported: F64
     innovation: float = 0.0
     vouched: float = 1.0
+    doubt: float = 0.0
     tentative: bool = False
 
     @property
@@ -114,8 +116,8 @@ class Candidate:
 
     @property
     def score(self) -> float:
-        """Log odds that it is right: by the evidence, less by its distance from the prediction."""
-        return log_odds(self.evident) - AGAINST * max(0.0, self.innovation)
+        """Log odds that it is right: by the evidence, less its innovation and the doubt."""
+        return log_odds(self.evident) - AGAINST * max(0.0, self.innovation) - self.doubt
 
     @property
     def rank(self) -> float:

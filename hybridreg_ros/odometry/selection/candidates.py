@@ -64,8 +64,11 @@ class Sought:
     prior: Expected | None = None
 
     def judged_by(self, proposal: Proposal | None) -> Sought:
-        """It, judged without the points that the mask of the network knows to move."""
-        if proposal is None:
+        """It, judged without the points that the mask of the network knows to move.
+
+        Not where nothing is expected: after a loss the mask is that of a pose that may be wrong.
+        """
+        if proposal is None or self.expected is None:
             return replace(self, still=self.trust)
         still = self.trust * (1.0 - proposal.uncertainty[self.cloud.icp_in_map])
         knows = (still > 0.5).sum() >= _LEFT * (self.trust > 0.5).sum()

@@ -50,7 +50,7 @@ _PROBES = 24
 _FINALISTS = 8
 _SAME = 1.0
 """Hypotheses nearer to each other, in voxels, are one: where most matches agree, 60 are one to
-twenty, and need not be aligned one by one (docs/lab/2026-11-30-one-score.md)."""
+twenty, and need not be aligned one by one (docs/lab/2026-11-30-counted-references.md)."""
 _ALIGNED = 24
 """Poses that are aligned roughly: those that fit best before (docs/lab, 2026-11-29)."""
 

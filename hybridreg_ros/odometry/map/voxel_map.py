@@ -47,9 +47,9 @@ class VoxelTable(NamedTuple):
     Attributes:
         size: edge of a voxel, metres.
         most: most points of a voxel.
-        slots: (C,) int32, hash table of voxels (`voxelhash.find_voxel`), C a power of two.
+        slots: (C,) int32, hash table of voxels (`voxel_hash.find_voxel`), C a power of two.
         voxels: (V,) VOXEL.
-        free: (F,) int32 rows that may be given to a voxel (`pointrows`).
+        free: (F,) int32 rows that may be given to a voxel (`take`).
         store: (P, 4) float32 the points of all voxels, map frame, metres, and their mass: sum of
             the weights of what each is the mean of, at most MOST_MASS.
         beam: (P, 3) float32 unit direction, map frame, in which each was first seen.

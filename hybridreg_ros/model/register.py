@@ -18,7 +18,6 @@ from hybridreg_ros.core.errors import RegistrationError, WeightsError
 from hybridreg_ros.model.budget import Budget
 from hybridreg_ros.model.budget import voxel_size_m as chosen_voxel_m
 from hybridreg_ros.model.checkpoint import load_checkpoint, packaged_weights
-from hybridreg_ros.model.compact_memory import compacted
 from hybridreg_ros.model.encoded import EncodedCloud
 from hybridreg_ros.model.geometry.pyramid import build_pyramid, metric_transform
 from hybridreg_ros.model.geometry.upsampling import values_of_inputs
@@ -127,7 +126,7 @@ class HybridReg:
         cloud = _as_cloud(points)
         if voxel_size_m is None:
             voxel_size_m = self._voxel_m(cloud, budget=budget)
-        return compacted(self._encoded(cloud, float(voxel_size_m)))
+        return self._encoded(cloud, float(voxel_size_m))
 
     def _encoded(self, cloud: NDArray[np.float32], voxel_size_m: float) -> EncodedCloud:
         """One cloud by itself."""
@@ -287,28 +286,24 @@ class HybridReg:
         """
         start = time.perf_counter()
         views = source.view, target.view
-        with ThreadPoolExecutor(1) as beside:
-            verifies = self.config.estimator == 'verified'
-            proposed = beside.submit(proposals_of, source, target) if verifies else None
-            found = self.matches(source, target)
-            middle = time.perf_counter()
-            evidence = beside.submit(evidence_of, source, target, found)
-            estimate, verified = found.estimate, None
-            if proposed is not None:
-                matches, proposals = proposed.result()
-                verified = verify(
-                    proposals,
-                    estimate.V_target_source,
-                    matches,
-                    views,
-                    opinions_of(source, target, found) if self.config.use_mask else None,
-                )
-                estimate = judged(
-                    verified.V_target_source, found.matches, self.config.acceptance_radius
-                )
-            chosen = time.perf_counter()
-            refined = refine(*views, estimate.V_target_source)
-            known = evidence.result()
+        found = self.matches(source, target)
+        middle = time.perf_counter()
+        estimate, verified = found.estimate, None
+        if self.config.estimator == 'verified':
+            matches, proposals = proposals_of(source, target)
+            verified = verify(
+                proposals,
+                estimate.V_target_source,
+                matches,
+                views,
+                opinions_of(source, target, found) if self.config.use_mask else None,
+            )
+            estimate = judged(
+                verified.V_target_source, found.matches, self.config.acceptance_radius
+            )
+        chosen = time.perf_counter()
+        refined = refine(*views, estimate.V_target_source)
+        known = evidence_of(source, target, found)
         result = self._result(source, target, found, estimate, refined, verified, known)
         end = time.perf_counter()
         timings = {

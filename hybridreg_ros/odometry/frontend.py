@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-_FOR_SCALE = 2000
+_FOR_SCALE = 500
 """Points by which every scan is asked whether the scene has become a far larger one."""
 
 
@@ -266,7 +266,7 @@ class HybridOdometry:
         if tracker is None or len(scan) < self.config.input.min_points:
             return
         some = scan.points[:: max(1, len(scan) // _FOR_SCALE)]
-        sensor = recognise_sensor(some, self.config)
+        sensor = recognise_sensor(some, self.config, thins=False)
         self._outgrown = self._outgrown + 1 if tracker.sensor.outgrown_by(sensor) else 0
         if self._outgrown < self.config.input.rebase_after:
             return

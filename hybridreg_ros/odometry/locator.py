@@ -199,7 +199,7 @@ class Locator:
     def _by_network(self, scan: Sought, proposal: Proposal) -> Reason:
         """Align the network's pose with the map; why the result is not taken, if it is not."""
         start, prior = proposal.T_odom_sensor, scan.prior
-        basin: Basin = 'near'
+        basin: Basin = 'middle'
         if prior is not None and not self._is_near(prior, start):
             prior = None
         if prior is not None and scan.expected is not None:
@@ -229,10 +229,10 @@ class Locator:
     def _start_between(
         self, pose: F64, expected: Expected, cloud: PreprocessedScan
     ) -> tuple[F64, Basin]:
-        """Where and how coarsely the alignment starts, when the network agrees with the motion.
+        """Where and how sharply the alignment starts, when the network agrees with the motion.
 
-        The coarse pull is for guesses that may be a voxel off; the mean of a pose of the network
-        and the expected one, weighed by what each is worth, often is not.
+        That is the mean of a pose of the network and the expected one, weighed by what each is
+        worth: often it is far less than a voxel off.
 
         Args:
             pose: (4, 4) of the network.

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, cast
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.errors import ConfigError, RegistrationError, WeightsError
 from hybridreg_ros.model.budget import Budget  # noqa: TC001 (a field of a NamedTuple)
+from hybridreg_ros.model.compact_memory import compacted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -100,6 +101,11 @@ class LearnedBranch:
         self._memory = memory
         self._keyframes: dict[tuple[int, Budget], Any] = {}
 
+    @property
+    def kept(self) -> list[Any]:
+        """Encodings of keyframes, those that were asked for last at the end."""
+        return list(self._keyframes.values())
+
     def _of(self, budget: Budget) -> Registrar:
         """The registrar whose voxel keeps to a budget."""
         if budget not in self._sequences:
@@ -136,7 +142,7 @@ class LearnedBranch:
     def adopt(self, keyframe: Keyframe, encoded: Encoded | None) -> None:
         """A scan has become this keyframe: keep its encoding unless it is None."""
         if encoded is not None:
-            self._keep(keyframe, *encoded)
+            self._keep(keyframe, encoded.budget, compacted(encoded.encoding))
 
     def forget(self, keyframe: Keyframe) -> None:
         """A keyframe has changed: encode it anew when it is matched next."""
@@ -166,7 +172,7 @@ class LearnedBranch:
         try:
             known = self._keyframes.pop((keyframe.number, scan.budget), None)
             if known is None:
-                known = registrar.encode(keyframe.points)
+                known = compacted(registrar.encode(keyframe.points))
             self._keep(keyframe, scan.budget, known)
             match: Match = registrar.match(scan.encoding, known)
         except RegistrationError as error:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hybridreg_ros.core.jit import compiled
+from hybridreg_ros.core.jit import compiled, compiled_fast
 from hybridreg_ros.odometry.map.thinning import first_per_voxel, means_of, occupied, voxel_of
 from hybridreg_ros.odometry.preprocessed import PreprocessedScan
 
@@ -79,7 +79,9 @@ class SensorModel:
         return lidar or now.voxel_size_m > _OUTGROWN * self.voxel_size_m
 
 
-def recognise_sensor(points: NDArray[np.float32], config: OdometryConfig) -> SensorModel:
+def recognise_sensor(
+    points: NDArray[np.float32], config: OdometryConfig, thins: bool = True
+) -> SensorModel:
     """Decide what the config leaves open from one scan.
 
     A sensor is a depth camera when all its points lie within 75 degrees of their mean direction
@@ -88,6 +90,7 @@ def recognise_sensor(points: NDArray[np.float32], config: OdometryConfig) -> Sen
     Args:
         points: (N, 3) float32, sensor frame, metres, N > 0.
         config: settings; 0 and 'auto' are decided here.
+        thins: whether `thinning_m` follows the number of points; else they are some of a scan.
     """
     some = points[:: max(1, len(points) // 20_000)].astype(np.float64)
     ranges = np.linalg.norm(some, axis=1)
@@ -115,6 +118,8 @@ def recognise_sensor(points: NDArray[np.float32], config: OdometryConfig) -> Sen
         float(np.clip(_VOXEL_PER_RANGE[kind] * usual, _SMALLEST_M[kind], 1.0)), 3
     )
     thinning = _THINNING * voxel
+    if not thins:
+        return SensorModel(kind, voxel, low, high, thinning)
     seen = points[_in_range(points, low * low, high * high)]
     many = len(first_per_voxel(seen, thinning)) / _THINNED
     thinning *= max(1.0, many) ** 0.5  # points lie on surfaces
@@ -267,15 +272,13 @@ def believable(times: NDArray[np.float64]) -> bool:
     return 0.0 < span <= _LONGEST_SCAN_S and float(np.abs(times).max()) <= 2.0 * _LONGEST_SCAN_S
 
 
-@compiled
+@compiled_fast
 def _in_range(points, low_sq, high_sq):  # type: ignore[no-untyped-def]
-    inside = np.empty(len(points), np.bool_)
-    for row in range(len(points)):
-        x = float(points[row, 0])
-        y = float(points[row, 1])
-        z = float(points[row, 2])
+    flat, inside = np.ascontiguousarray(points).reshape(-1), np.empty(len(points), np.bool_)
+    for row in range(len(inside)):  # without branches, so that it fills vector registers
+        x, y, z = float(flat[3 * row]), float(flat[3 * row + 1]), float(flat[3 * row + 2])
         r = x * x + y * y + z * z
-        inside[row] = low_sq <= r <= high_sq
+        inside[row] = (low_sq <= r) & (r <= high_sq)
     return inside
 
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -56,27 +57,27 @@ class PreprocessedScan:
     icp_share: float = 1.0
     usual: UsualMotion | None = None
 
-    @property
+    @cached_property
     def map_points(self) -> NDArray[np.float32]:
         """(M, 3) measured points, thinned; the network gets them."""
         return self.points[self.map_rows]
 
-    @property
+    @cached_property
     def icp_in_map(self) -> NDArray[np.int64]:
         """(K,) place of each registered point among the map points."""
         return np.searchsorted(self.map_rows, self.icp_rows)
 
-    @property
+    @cached_property
     def icp_points(self) -> NDArray[np.float32]:
         """(K, 3) points that are registered: means of the cubes of `icp_rows`."""
         return self.means[self.icp_in_map]
 
-    @property
+    @cached_property
     def reach_m(self) -> float:
         """Median range of the registered points, metres."""
         return float(np.median(np.linalg.norm(self.icp_points, axis=1)))
 
-    @property
+    @cached_property
     def icp_times(self) -> NDArray[np.float64] | None:
         """(K,) seconds of each registered point after the instant, None when there are none."""
         return None if self.times is None else self.times[self.icp_rows]

@@ -11,10 +11,13 @@ import numpy as np
 from hybridreg_ros import HybridReg
 from hybridreg_ros.core.nested import mapped
 from hybridreg_ros.core.pages import has_pages
+from hybridreg_ros.model.budget import Budget
 from hybridreg_ros.model.compact_memory import compacted
 from hybridreg_ros.model.geometry.grid import Grid
 from hybridreg_ros.model.geometry.pyramid import build_pyramid
 from hybridreg_ros.model.pose.verify import view_of
+from hybridreg_ros.odometry.keyframes import Keyframe
+from hybridreg_ros.odometry.network_branch import LearnedBranch
 
 if TYPE_CHECKING:
     from hybridreg_ros.model.reference.network import HybridRegNet
@@ -70,8 +73,11 @@ def test_strided_empty_and_other_values_are_left() -> None:
         assert compacted(value) is value
 
 
-def test_clouds_are_compacted_when_encoded(compact_net: HybridRegNet, room: np.ndarray) -> None:
-    encoded = HybridReg(compact_net.config, compact_net).encode(room, 0.05)
+def test_the_cloud_of_a_keyframe_is_compacted(compact_net: HybridRegNet, room: np.ndarray) -> None:
+    branch = LearnedBranch(HybridReg(compact_net.config, compact_net), 2)
+    scan = branch.encode(room, Budget())
+    branch.adopt(Keyframe(0, 0, np.eye(4), room), scan)
+    (encoded,) = branch.kept
     grids = encoded.view.grid.nearest, encoded.view.wide.nearest
     kept = [a for a in arrays(encoded) if not any(a is g for g in grids) and a.size]
     assert len(kept) > 20

@@ -9,7 +9,7 @@ import pytest
 
 from hybridreg_ros.odometry.registration import kernels
 from hybridreg_ros.odometry.registration.cluster_covariance import cluster_covariance
-from hybridreg_ros.odometry.registration.surfaces import Surfaces
+from hybridreg_ros.odometry.registration.surfaces import unpaired
 from hybridreg_ros.odometry.selection.reported_confidence import disagreement
 
 SIZE_M = 0.1
@@ -31,24 +31,13 @@ def _world(errors: np.ndarray, seed: int = 0) -> tuple:
             sides.append(np.tile(np.eye(3)[axis], (8, 1)))
             offs.append(np.full(8, error[axis]))
     points, normals = np.concatenate(rows), np.concatenate(sides)
-    surfaces = Surfaces(len(points))
+    surfaces = unpaired(len(points))
     surfaces.kind[:] = kernels.PLANE
     surfaces.normal[:] = normals
     surfaces.anchor[:] = points - np.concatenate(offs)[:, None] * normals
     scales = np.full(len(points), SPREAD_M)
     ones = np.ones(len(points))
-    H, _, _ = kernels.normal_equations(
-        points,
-        ones,
-        np.eye(3),
-        np.zeros(3),
-        surfaces.kind,
-        surfaces.anchor,
-        surfaces.normal,
-        surfaces.variance,
-        scales,
-        1.0,
-    )
+    H, _, _ = kernels.normal_equations(points, ones, np.eye(4), surfaces, scales, 1.0)
     return points, ones, np.eye(4), surfaces, scales, H, SIZE_M
 
 
@@ -58,19 +47,8 @@ def test_it_is_the_spread_of_poses_over_many_draws_of_the_parts() -> None:
     for _ in range(60):
         world = _world(rng.normal(0.0, spread, (parts, 3)))
         told.append(cluster_covariance(*world))
-        points, ones, T, surfaces, scales, H, _ = world
-        _, b, _ = kernels.normal_equations(
-            points,
-            ones,
-            T[:3, :3].copy(),
-            T[:3, 3].copy(),
-            surfaces.kind,
-            surfaces.anchor,
-            surfaces.normal,
-            surfaces.variance,
-            scales,
-            1.0,
-        )
+        points, ones, _, surfaces, scales, H, _ = world
+        _, b, _ = kernels.normal_equations(points, ones, np.eye(4), surfaces, scales, 1.0)
         poses.append(np.linalg.solve(H, -b))
     found = np.mean(told, axis=0)
     true = np.cov(np.array(poses).T)

@@ -11,7 +11,7 @@ import pytest
 
 from hybridreg_ros.benchmark.places import GATE, Score, all_places
 from hybridreg_ros.odometry.frontend import HybridOdometry
-from hybridreg_ros.odometry.registration.alignment import unheld
+from hybridreg_ros.odometry.registration.gauss_newton import unheld
 from hybridreg_ros.odometry.result import Reason
 
 PLACES = {place.name: place for place in all_places()}

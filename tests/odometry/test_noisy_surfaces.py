@@ -9,8 +9,8 @@ import pytest
 
 from hybridreg_ros.odometry.map.local_map import LocalMap
 from hybridreg_ros.odometry.preprocess import SensorModel, certainty
-from hybridreg_ros.odometry.registration.kernels import PLANE
-from hybridreg_ros.odometry.registration.surfaces import Surfaces
+from hybridreg_ros.odometry.registration.kernels import PLANE, associate
+from hybridreg_ros.odometry.registration.surfaces import unpaired
 
 SENSOR = SensorModel('depth', 0.08, 0.2, 8.0, 0.04)
 FAR_M = 5.6
@@ -36,8 +36,8 @@ def test_far_wall_has_surfaces_when_points_count_by_what_was_measured(
         local_map.update(scan, np.zeros(3), certainty(scan, SENSOR))
     inner = far_wall(99)
     inner = inner[(np.abs(inner[:, :2]) < 0.6).all(axis=1)]
-    found = Surfaces(len(inner))
-    found.search(inner, np.eye(4), local_map.of_surfaces, local_map.updates)
+    found = unpaired(len(inner))
+    associate(inner, np.eye(4), local_map.grids, local_map.updates, found)
     planes = found.kind == PLANE
     assert least <= planes.mean() <= most
     if noisy:

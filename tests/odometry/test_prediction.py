@@ -15,7 +15,8 @@ from hybridreg_ros.odometry.config import GateConfig, OdometryConfig
 from hybridreg_ros.odometry.map.local_map import LocalMap
 from hybridreg_ros.odometry.motion.prediction import Expected, Motion
 from hybridreg_ros.odometry.preprocess import preprocess, recognise_sensor
-from hybridreg_ros.odometry.registration.alignment import Fit, align, believed
+from hybridreg_ros.odometry.registration.alignment import Fit, align
+from hybridreg_ros.odometry.registration.gauss_newton import believed
 from hybridreg_ros.odometry.result import Reason, Source
 from hybridreg_ros.odometry.selection.candidates import Candidate
 from hybridreg_ros.odometry.selection.pose_confidence import PoseEvidence, worst_axis

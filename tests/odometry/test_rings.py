@@ -12,8 +12,8 @@ from hybridreg_ros.core.scan import Scan
 from hybridreg_ros.odometry.frontend import HybridOdometry
 from hybridreg_ros.odometry.map.local_map import LocalMap, VoxelLevel
 from hybridreg_ros.odometry.map.planes import buffer, fit_around
-from hybridreg_ros.odometry.registration.kernels import PLANE
-from hybridreg_ros.odometry.registration.surfaces import Surfaces
+from hybridreg_ros.odometry.registration.kernels import PLANE, associate, measure
+from hybridreg_ros.odometry.registration.surfaces import unpaired
 
 HEIGHT_M = 1.2
 RINGS_M = np.arange(-1.0, 4.0, 0.7)
@@ -72,8 +72,8 @@ def test_one_ring_is_no_surface_and_two_rings_of_a_wall_are() -> None:
         wall = np.concatenate(rings)
         local_map = LocalMap(0.2, 100.0)
         local_map.update(wall, np.zeros(3))
-        found = Surfaces(len(wall))
-        found.search(wall, np.eye(4), local_map.of_surfaces, local_map.updates)
+        found = unpaired(len(wall))
+        associate(wall, np.eye(4), local_map.grids, local_map.updates, found)
         assert least <= np.mean(found.kind == PLANE) <= most
 
 
@@ -82,8 +82,8 @@ def test_ground_between_far_rings_is_a_surface() -> None:
     ground = scan[np.hypot(scan[:, 0], scan[:, 1]) < 7.0]  # rings 0.7 to 1.4 m apart
     local_map = LocalMap(0.15, 100.0)
     local_map.update(scan, np.zeros(3))
-    found = Surfaces(len(ground))
-    found.search(ground.astype(np.float64), np.eye(4), local_map.of_surfaces, local_map.updates)
+    found = unpaired(len(ground))
+    associate(ground.astype(np.float64), np.eye(4), local_map.grids, local_map.updates, found)
     planes = found.kind == PLANE
     assert planes.mean() > 0.8
     assert np.quantile(np.abs(found.normal[planes, 2]), 0.05) > 0.98
@@ -95,10 +95,10 @@ def test_points_between_far_rings_are_paired_with_the_wall_that_these_show() -> 
     local_map = LocalMap(0.2, 100.0)
     local_map.update(wall, np.zeros(3))
     between = wall[np.abs(wall[:, 1]) < 5.0] + [0.0, 0.0, 0.35]  # half way to the next ring
-    found = Surfaces(len(between))
+    found = unpaired(len(between))
     for off_m, paired in ((0.0, True), (0.05, True), (0.3, False)):
-        found.search(between - [off_m, 0, 0], np.eye(4), local_map.of_surfaces, local_map.updates)
-        found.measure(between - [off_m, 0.0, 0.0], np.eye(4))
+        associate(between - [off_m, 0, 0], np.eye(4), local_map.grids, local_map.updates, found)
+        measure(between - [off_m, 0.0, 0.0], np.eye(4), found)
         assert (found.kind == PLANE).mean() > 0.8 if paired else (found.kind != PLANE).all()
         if paired:
             np.testing.assert_allclose(found.residual[found.kind == PLANE], off_m, atol=0.01)

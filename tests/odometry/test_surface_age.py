@@ -10,8 +10,9 @@ import pytest
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.map.local_map import LocalMap
 from hybridreg_ros.odometry.registration import alignment
-from hybridreg_ros.odometry.registration.alignment import align, by_age
-from hybridreg_ros.odometry.registration.surfaces import Surfaces
+from hybridreg_ros.odometry.registration.alignment import align
+from hybridreg_ros.odometry.registration.kernels import associate
+from hybridreg_ros.odometry.registration.surfaces import Surfaces, by_age, unpaired
 
 VOXEL_M = 0.05
 
@@ -26,7 +27,7 @@ def wall(x: float, height: float, seed: int = 0, depth_m: float = 0.0) -> np.nda
 
 def surfaces(born: np.ndarray) -> Surfaces:
     """Surfaces of that many points, all of them planes, first seen at these ages."""
-    found = Surfaces(len(born))
+    found = unpaired(len(born))
     found.kind[:] = 2
     found.born[:] = born
     return found
@@ -34,7 +35,7 @@ def surfaces(born: np.ndarray) -> Surfaces:
 
 def test_old_surfaces_hold_and_new_ones_hardly_do() -> None:
     born = np.repeat([0.0, 9.5, 9.75, 10.0], 100)
-    weight = by_age(np.full(400, 0.9), surfaces(born), 10.0)
+    weight = by_age(np.full(400, 0.9), surfaces(born), 10.0, 0.5)
     per_kind = weight.reshape(4, 100)
     assert (per_kind == per_kind[:, :1]).all()
     np.testing.assert_allclose(per_kind[:, 0], [0.9, 0.9, 0.9 * 0.55, 0.09], rtol=1e-6)
@@ -43,18 +44,18 @@ def test_old_surfaces_hold_and_new_ones_hardly_do() -> None:
 def test_only_differences_of_age_count() -> None:
     trust = np.linspace(0.6, 1.0, 200)
     for born in (np.full(200, 10.0), np.zeros(200)):
-        np.testing.assert_array_equal(by_age(trust, surfaces(born), 10.0), trust)
-    young_map = by_age(trust, surfaces(np.repeat([0.0, 0.1], 100)), 0.1)
+        np.testing.assert_array_equal(by_age(trust, surfaces(born), 10.0, 0.5), trust)
+    young_map = by_age(trust, surfaces(np.repeat([0.0, 0.1], 100)), 0.1, 0.1)
     np.testing.assert_allclose(young_map[:100], trust[:100])
     np.testing.assert_allclose(young_map[100:], 0.1 * trust[100:])
-    np.testing.assert_array_equal(by_age(trust, surfaces(np.zeros(200)), 0.0), trust)
+    np.testing.assert_array_equal(by_age(trust, surfaces(np.zeros(200)), 0.0, 0.0), trust)
 
 
 def test_points_without_trust_or_surface_do_not_decide() -> None:
     found = surfaces(np.repeat([0.0, 10.0], [300, 60]))
     found.kind[:100] = 0
     trust = np.repeat([1.0, 0.0, 1.0], [100, 200, 60])
-    np.testing.assert_array_equal(by_age(trust, found, 10.0), trust)
+    np.testing.assert_array_equal(by_age(trust, found, 10.0, 0.5), trust)
 
 
 def test_the_map_remembers_when_places_were_first_seen() -> None:
@@ -67,8 +68,8 @@ def test_the_map_remembers_when_places_were_first_seen() -> None:
     assert local_map.age_s == pytest.approx(3.0)
     local_map.erase(wall(2.0, 0.4))
     both = np.concatenate([wall(2.0, 1.0, 9)[-600:], wall(2.0, 1.0, 9, 2.0)])
-    found = Surfaces(len(both))
-    found.search(both, np.eye(4), local_map.of_surfaces, local_map.updates)
+    found = unpaired(len(both))
+    associate(both, np.eye(4), local_map.grids, local_map.updates, found)
     assert (found.born[:600] <= 1.0).mean() > 0.6  # noise fills gaps between old points later
     assert (found.born[600:] >= 2.0).all()
     assert set(found.born[found.kind != 0]) <= {0.0, 1.0, 2.0, 3.0}
@@ -106,5 +107,5 @@ def test_an_unknown_mover_does_not_draw_the_pose_along(
     stands: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert drawn_along_m(stands) < 0.01
-    monkeypatch.setattr(alignment, '_MATURE_S', 0.0)
+    monkeypatch.setattr(alignment, 'MATURE_S', 0.0)
     assert drawn_along_m(stands) > 0.2

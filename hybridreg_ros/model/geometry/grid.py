@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -132,7 +133,7 @@ class Grid:
         _fill(grid, points, low, cell)
         return cls(grid, low, cell)
 
-    @property
+    @cached_property
     def space(self) -> Space:
         """The grid as compiled functions take it: cells, corner, cells per voxel."""
         x, y, z = self.low.tolist()

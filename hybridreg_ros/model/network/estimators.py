@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.core import se3
-from hybridreg_ros.core.jit import compiled
+from hybridreg_ros.core.jit import compiled, compiled_fast
+from hybridreg_ros.core.se3 import aligned
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -131,16 +132,18 @@ def batched_kabsch(source: F64, target: F64, weights: F64) -> F64:
     Returns:
         (B, 4, 4) transforms from source to target.
     """
-    w = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
-    mu_s, mu_t = (w[:, None] @ source)[:, 0], (w[:, None] @ target)[:, 0]
-    H = (w[..., None] * (source - mu_s[:, None])).transpose(0, 2, 1) @ (target - mu_t[:, None])
-    U, _, Vt = np.linalg.svd(H)
-    V, Ut = Vt.transpose(0, 2, 1), U.transpose(0, 2, 1)
-    sign = np.ones((len(H), 3))
-    sign[:, 2] = np.where(np.linalg.det(V @ Ut) < 0.0, -1.0, 1.0)
-    T = np.tile(np.eye(4), (len(H), 1, 1))
-    T[:, :3, :3] = (V * sign[:, None, :]) @ Ut
-    T[:, :3, 3] = mu_t - (T[:, :3, :3] @ mu_s[..., None])[..., 0]
+    T: F64 = _aligned(source, target, weights)
+    return T
+
+
+@compiled
+def _aligned(source: F64, target: F64, weights: F64) -> F64:
+    """The kernel of `batched_kabsch`."""
+    T = np.zeros((len(source), 4, 4))
+    everywhere = np.zeros((4, 4))
+    for b in range(len(source)):
+        _, H, s, t = _inlier_moments(everywhere, source[b], target[b], weights[b], np.inf)
+        T[b] = aligned(H, s, t)
     return T
 
 
@@ -151,24 +154,20 @@ def _residuals(T: F64, matches: PointMatches) -> F64:
     return squared
 
 
-@compiled
+@compiled_fast
 def weighted_inliers(T: F64, source: F64, target: F64, weights: F64, radius: float) -> F64:
     """(B,) sum of the weights of the matches within `radius` under each of B transforms."""
-    out = np.zeros(T.shape[0])
-    r2 = radius * radius
-    for b in range(T.shape[0]):
-        for i in range(source.shape[0]):
-            d2 = 0.0
-            for k in range(3):
-                moved = (
-                    T[b, k, 0] * source[i, 0]
-                    + T[b, k, 1] * source[i, 1]
-                    + T[b, k, 2] * source[i, 2]
-                    + T[b, k, 3]
-                )
-                d2 += (moved - target[i, k]) ** 2
-            if d2 <= r2:
-                out[b] += weights[i]
+    out, s, t = np.zeros(len(T)), np.ascontiguousarray(source.T), np.ascontiguousarray(target.T)
+    for b in range(len(T)):
+        pose, total = T[b], 0.0
+        for i in range(len(weights)):  # without branches, so that it fills vector registers
+            x, y, z = s[0, i], s[1, i], s[2, i]
+            dx = pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3] - t[0, i]
+            dy = pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3] - t[1, i]
+            dz = pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3] - t[2, i]
+            near = dx * dx + dy * dy + dz * dz <= radius * radius
+            total += weights[i] if near else 0.0
+        out[b] = total
     return out
 
 
@@ -216,13 +215,18 @@ def _inlier_moments(
 
 def refine_pose(T: F64, matches: PointMatches, radius: float, rounds: int) -> F64:
     """Refit a transform (4, 4) to the matches within `radius` of it, `rounds` times."""
+    refined: F64 = _refitted(T, matches.source, matches.target, matches.weights, radius, rounds)
+    return refined
+
+
+@compiled
+def _refitted(T: F64, source: F64, target: F64, weights: F64, radius: float, rounds: int) -> F64:
+    """The kernel of `refine_pose`."""
     for _ in range(rounds):
-        count, *moments = _inlier_moments(
-            T, matches.source, matches.target, matches.weights, radius
-        )
+        count, H, s, t = _inlier_moments(T, source, target, weights, radius)
         if count < MIN_MATCHES:
-            return T
-        T = se3.from_moments(*moments)
+            break
+        T = aligned(H, s, t)
     return T
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.core.jit import compiled
+from hybridreg_ros.core.se3 import rotation_of
 from hybridreg_ros.model.geometry.grid import cell_point, moved
 
 if TYPE_CHECKING:
@@ -137,18 +138,11 @@ def _added(s: Sums, moved: Triple, gap: Triple, normal: Triple, r2: float) -> Su
 @compiled
 def _step(T: F64, xi: F64) -> F64:
     """A transform (4, 4) followed by a rotation vector and a translation (6,)."""
-    angle = np.sqrt(xi[0] ** 2 + xi[1] ** 2 + xi[2] ** 2)
-    K = np.array([[0.0, -xi[2], xi[1]], [xi[2], 0.0, -xi[0]], [-xi[1], xi[0], 0.0]])
-    a = 1.0 - angle**2 / 6.0
-    b = 0.5 - angle**2 / 24.0
-    if angle > _SMALL:
-        a = np.sin(angle) / angle
-        b = (1.0 - np.cos(angle)) / angle**2
-    R = np.eye(3) + a * K + b * (K @ K)
-    out = np.eye(4)
-    out[:3, :3] = R @ np.ascontiguousarray(T[:3, :3])
-    for k in range(3):
-        out[k, 3] = R[k, 0] * T[0, 3] + R[k, 1] * T[1, 3] + R[k, 2] * T[2, 3] + xi[3 + k]
+    R, out = rotation_of(xi[:3]), T.copy()
+    for i in range(3):
+        for j in range(4):
+            out[i, j] = R[i, 0] * T[0, j] + R[i, 1] * T[1, j] + R[i, 2] * T[2, j]
+        out[i, 3] += xi[3 + i]
     return out
 
 

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -172,27 +172,35 @@ def traces(
     ) / max(float(matches.weights.sum()), 1e-9)
     out = np.empty((len(T), len(TRACES)))
     for b, forward in enumerate(T):
-        there = _one_way(forward, *views, opinions[0])
-        back = _one_way(inverse(forward), *views[::-1], opinions[1])
+        there = _one_way(forward, *_sides(*views, opinions[0]))
+        back = _one_way(inverse(forward), *_sides(*views[::-1], opinions[1]))
         fit, tight, trusted, intrusion, visible, hold, contact = 0.5 * (there + back)
         out[b] = fit, tight, trusted, share[b], intrusion, visible, hold, contact
     return out
 
 
-def _one_way(T: F64, moving: View, fixed: View, opinion: Opinion) -> F64:
-    """Traces (7,) of one cloud laid on the other; all but the agreement."""
-    *meeting, contact, moments = _meeting(
-        T,
-        moving.sample,
-        moving.sample_normals,
-        opinion.trust,
-        fixed.points,
-        fixed.normals,
-        fixed.grid.space,
+def _sides(moving: View, fixed: View, opinion: Opinion) -> tuple[Any, ...]:
+    """What `_one_way` takes of two clouds."""
+    points = moving.sample, moving.sample_normals, opinion.trust, opinion.static
+    return (
+        points,
+        (fixed.points, fixed.normals, fixed.grid.space),
+        (
+            fixed.sensor,
+            fixed.image,
+            fixed.near,
+        ),
     )
-    sight = _sight(moving.sample, opinion.static, T, fixed.sensor, fixed.image, fixed.near)
+
+
+@compiled
+def _one_way(T: F64, moving: Any, fixed: Any, seen: Any) -> F64:
+    """Traces (7,) of one cloud laid on the other; all but the agreement."""
+    sample, normals, trust, static = moving
+    fit, tight, trusted, contact, moments = _meeting(T, sample, normals, trust, *fixed)
+    intrusion, visible = _sight(sample, static, T, *seen)
     hold = np.linalg.eigvalsh(moments)[0] / max(contact, 1e-9)
-    return np.array([*meeting, *sight, hold, np.log1p(contact)])
+    return np.array([fit, tight, trusted, intrusion, visible, hold, np.log1p(contact)])
 
 
 def scores(found: F64, masked: bool = True) -> F64:

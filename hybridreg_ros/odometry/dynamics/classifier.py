@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.core.scan import NS_PER_S
 from hybridreg_ros.odometry.dynamics import models
 from hybridreg_ros.odometry.dynamics.cells import LARGER, Cells, Grid
@@ -119,8 +120,8 @@ class Dynamics:
         moves = np.where(final > 0.0, np.minimum(final, _MOST), _STANDS).astype(np.float32)
         memory = np.column_stack([remembered(before, odds), moves])
         self._last = _Last(stamp, cells, memory, moving[:, None])
-        of_cube = np.where(cells.of_point >= 0, moving[cells.of_point], np.float32(0.0))
-        return np.where(cloud.cube >= 0, of_cube[cloud.cube], np.float32(0.0))
+        probability: F32 = _spread(moving, cells.of_point, cloud.cube)
+        return probability
 
     def knows(self, stamp: int) -> bool:
         """Whether earlier scans tell what moves in a scan at a stamp, ns, or nobody asks."""
@@ -144,6 +145,18 @@ class Dynamics:
         """Forget everything."""
         self._past.clear()
         self._last = None
+
+
+@compiled
+def _spread(moving, cell, cube):  # type: ignore[no-untyped-def]
+    """Values (M,) of the cells of the cubes of points (N,); 0 where there is none."""
+    of_cube, out = np.zeros(len(cell) + 1, np.float32), np.empty(len(cube), np.float32)
+    for k in range(len(cell)):
+        if cell[k] >= 0:
+            of_cube[k] = moving[cell[k]]
+    for row in range(len(cube)):
+        out[row] = of_cube[cube[row]]  # the last one is of no cube
+    return out
 
 
 def kept_at_rest(cells: Cells, odds: F32, before: F32, age_s: float) -> F32:

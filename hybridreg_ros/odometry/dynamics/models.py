@@ -11,13 +11,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hybridreg_ros.core.jit import compiled_fast
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     F32 = NDArray[np.float32]
 
 PACKAGED = Path(__file__).with_name('models.npz')
-_LIMIT = 4.0
+_LIMIT = np.float32(4.0)
 _BLOCK = 2048
 
 
@@ -36,18 +38,40 @@ class Perceptron:
     layers: tuple[tuple[F32, F32], ...]
 
     def __call__(self, inputs: F32) -> F32:
-        """Log odds (M,) of inputs (M, F), in blocks that stay in the cache."""
-        odds = np.empty(len(inputs), np.float32)
-        for start in range(0, len(inputs), _BLOCK):
-            x = (inputs[start : start + _BLOCK] - self.mean) / self.scale
-            np.clip(x, -_LIMIT, _LIMIT, out=x)
-            for weights, offset in self.layers[:-1]:
-                x = x @ weights
-                x += offset
-                np.maximum(x, np.float32(0.0), out=x)
-            weights, offset = self.layers[-1]
-            odds[start : start + _BLOCK] = (x @ weights + offset)[:, 0]
+        """Log odds (M,) of inputs (M, F)."""
+        odds: F32 = _log_odds(inputs, self.mean, self.scale, self.layers)
         return odds
+
+
+@compiled_fast
+def _log_odds(inputs, mean, scale, layers):  # type: ignore[no-untyped-def]
+    """The kernel of `Perceptron`, in blocks that stay in the cache."""
+    odds = np.empty(len(inputs), np.float32)
+    (first, first_offset), (second, second_offset), (last, last_offset) = layers
+    x = np.empty((_BLOCK, len(mean)), np.float32)
+    for start in range(0, len(inputs), _BLOCK):
+        count = min(_BLOCK, len(inputs) - start)
+        for k in range(len(mean)):  # inputs lie column by column
+            for row in range(count):
+                value = (inputs[start + row, k] - mean[k]) / scale[k]
+                x[row, k] = min(max(value, -_LIMIT), _LIMIT)
+        h = _hidden(_hidden(x[:count], first, first_offset), second, second_offset)
+        for row in range(count):
+            total = last_offset[0]
+            for k in range(h.shape[1]):
+                total += h[row, k] * last[k, 0]
+            odds[start + row] = total
+    return odds
+
+
+@compiled_fast
+def _hidden(x, weights, offset):  # type: ignore[no-untyped-def]
+    """What a hidden layer makes of its inputs (M, I): (M, O)."""
+    out = np.dot(x, weights)
+    for row in range(len(out)):
+        for k in range(len(offset)):
+            out[row, k] = max(out[row, k] + offset[k], np.float32(0.0))
+    return out
 
 
 @dataclass(frozen=True, eq=False)

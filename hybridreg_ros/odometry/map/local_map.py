@@ -71,7 +71,8 @@ class VoxelLevel:
 
     def keep_near(self, centre: NDArray[np.float64], reach_m: float) -> None:
         """Drop cubes farther from the centre (3,) than the reach, and empty ones."""
-        self.used = voxel_map.keep_near(centre, reach_m**2, self.grid, self.used)
+        place = np.ascontiguousarray(centre)
+        self.used = voxel_map.keep_near(place, reach_m**2, self.grid, self.used)
 
     def erase_near(self, points: NDArray[np.floating], reach_m: float) -> int:
         """Remove stored points that share a cube with a point (N, 3) and lie within the reach."""
@@ -172,9 +173,9 @@ class LocalMap:
         return self.coarse, self.middle, self.fine
 
     @property
-    def of_surfaces(self) -> tuple[VoxelLevel, VoxelLevel, VoxelLevel]:
-        """Levels that are asked for surfaces, the finest first."""
-        return self.fine, self.middle, self.coarse
+    def grids(self) -> tuple[VoxelTable, VoxelTable, VoxelTable]:
+        """The levels as kernels that ask for surfaces take them, the finest first."""
+        return self.fine.grid, self.middle.grid, self.coarse.grid
 
     def __len__(self) -> int:
         """Cubes of the fine level in use."""

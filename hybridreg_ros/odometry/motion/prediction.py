@@ -69,13 +69,18 @@ class Expected:
         turn = se3.so3_log(delta[:3, :3]) / self.turn_rad
         return np.concatenate([delta[:3, 3] / self.shift_m, turn])
 
+    @property
+    def information(self) -> F64:
+        """(6,) diagonal of the information (position, turn about the sensor), alike along axes."""
+        return np.repeat([self.shift_m**-2, self.turn_rad**-2], 3)
+
     def pull(self, pose: F64) -> tuple[F64, F64]:
         """What it adds to the Gauss-Newton system of a pose (4, 4), odom axes.
 
         Returns:
-            (6,) diagonal of the information (position, turn about the sensor), and (6,) gradient.
+            (6,) diagonal of the information, and (6,) gradient.
         """
-        weight = np.repeat([self.shift_m**-2, self.turn_rad**-2], 3)
+        weight = self.information
         turn = se3.so3_log(pose[:3, :3] @ self.pose[:3, :3].T)
         return weight, weight * np.concatenate([pose[:3, 3] - self.pose[:3, 3], turn])
 
@@ -132,6 +137,7 @@ class Motion:
         self.up: F64 | None = None
         self._sure = self.pose, stamp
         self._errors: deque[F64] = deque(maxlen=_KEPT)
+        self._usual: tuple[F64, F64] | None = None
 
     def predict(self, stamp: int) -> F64:
         """Pose (4, 4) at a stamp (ns) if the velocity stays as it is, for a while."""
@@ -144,13 +150,8 @@ class Motion:
         An unknown acceleration moves the pose by the square of the time since the last sure one.
         """
         spread, turn_rate = _FIRST_SPREAD, np.zeros(3)
-        if len(self._errors) >= _ENOUGH and self.last_step_s > 0.0:
-            errors = np.array(self._errors).reshape(-1, 2, 3)
-            sizes = np.linalg.norm(errors, axis=2) / np.sqrt(3.0)
-            spread = np.maximum(np.sqrt(np.mean(np.square(sizes), axis=0)), _LEAST_SPREAD)
-            usual = float(np.median(sizes[:, 1])) / _MEDIAN_NORM
-            about = np.median(np.abs(errors[:, 1]), axis=0) / _MEDIAN_ABS
-            turn_rate = np.maximum(about, _LEAST_SHARE * usual) / self.last_step_s
+        if self._usual is not None and self.last_step_s > 0.0:
+            spread, turn_rate = self._usual[0], self._usual[1] / self.last_step_s
             steps = (stamp - self._sure[1]) / (NS_PER_S * self.last_step_s)
             spread = spread * max(1.0, 0.5 * steps * (steps + 1.0))
         shift_m, turn_rad = float(spread[0]), float(spread[1])
@@ -174,11 +175,23 @@ class Motion:
         if dt > 0.0:
             if self.last_step_s > 0.0 and before == self.stamp:
                 off = se3.inverse(self.predict(stamp)) @ pose
-                self._errors.append(np.concatenate([off[:3, 3], se3.so3_log(off[:3, :3])]))
+                self._err(np.array([off[:3, 3], se3.so3_log(off[:3, :3])]))
             self.twist = se3.log(se3.inverse(since) @ pose) / dt
             self.last_step_s = dt
         self.pose, self.stamp = pose, stamp
         self._sure = pose, stamp
+
+    def _err(self, error: F64) -> None:
+        """Take the error (2, 3), shift and turn, of one more prediction."""
+        self._errors.append(error)
+        if len(self._errors) < _ENOUGH:
+            return
+        errors = np.array(self._errors)
+        sizes = np.sqrt((errors**2).sum(axis=2) / 3.0)
+        spread = np.maximum(np.sqrt((sizes**2).mean(axis=0)), _LEAST_SPREAD)
+        usual = float(np.median(sizes[:, 1])) / _MEDIAN_NORM
+        about = np.median(np.abs(errors[:, 1]), axis=0) / _MEDIAN_ABS
+        self._usual = spread, np.maximum(about, _LEAST_SHARE * usual)
 
     def hold(self, pose: F64, stamp: int) -> None:
         """Take a pose that says nothing about the velocity, which is kept (coasting, doubt)."""

@@ -4,18 +4,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.odometry.map.thinning import occupied
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from hybridreg_ros.odometry.registration.surfaces import Surfaces
-
-    F64 = NDArray[np.float64]
+from hybridreg_ros.odometry.registration.kernels import moved
 
 _PART = 8.0
 """Edge of a part, in voxels: points in it (of one thing, of one stretch of wall) err alike."""
@@ -26,15 +19,8 @@ _CAP = 10.0
 _TINY = 1e-6
 
 
-def cluster_covariance(
-    points: F64,
-    weights: F64,
-    T_odom_sensor: F64,
-    surfaces: Surfaces,
-    scales: F64,
-    H: F64,
-    size_m: float,
-) -> F64:
+@compiled
+def cluster_covariance(points, weights, T, surfaces, scales, H, size_m):  # type: ignore[no-untyped-def]
     """Covariance of a pose, from the pull of each part of the scan.
 
     The inverse of the information H says how well a pose is held if every point errs on its own.
@@ -45,7 +31,7 @@ def cluster_covariance(
     Args:
         points: (N, 3) sensor frame, metres.
         weights: (N,) trust in [0, 1]; 0 where the surface is no plane.
-        T_odom_sensor: (4, 4) the pose.
+        T: (4, 4) the pose.
         surfaces: of the points, as searched at the pose.
         scales: (N,) standard deviation of a good residual, metres.
         H: (6, 6) information at the pose (position, turn about the sensor; odom axes).
@@ -54,29 +40,41 @@ def cluster_covariance(
     Returns:
         (6, 6) covariance, odom axes; the cap on its diagonal where there are too few parts.
     """
-    used = weights > 0.0
-    part, count = _parts(points, used, _PART * size_m)
+    _, _, keys, _, _, part = occupied(points, _PART * size_m, weights > 0.0)
+    count = len(keys)
     if count < _FEWEST:
         return np.eye(6) * _CAP**2
-    rows = np.flatnonzero(used)
-    arm = points[rows] @ T_odom_sensor[:3, :3].T
-    normal = surfaces.normal[rows]
-    off = arm + T_odom_sensor[:3, 3] - surfaces.anchor[rows]
-    residual = np.einsum('ij,ij->i', off, normal)
-    variance = scales[rows] ** 2 + surfaces.variance[rows]
-    kernel = 9.0 * variance / (9.0 * variance + residual**2)
-    pull = weights[rows] * kernel**2 / variance * residual
-    gradient = pull[:, None] * np.hstack([normal, np.cross(arm, normal)])
-    sums = np.stack([np.bincount(part[rows], g, count) for g in gradient.T], axis=1)
-    sums -= sums.mean(axis=0)
-    unit = np.sqrt(np.maximum(np.diag(H), 1e-9))
-    step = np.linalg.solve(H / np.outer(unit, unit) + _TINY * np.eye(6), (sums / unit).T)
-    step = np.clip(step / unit[:, None], -_CAP, _CAP)
-    covariance: F64 = step @ step.T * (count / (count - 1.0))
-    return covariance
-
-
-def _parts(points: F64, used: NDArray[np.bool_], size_m: float) -> tuple[NDArray[np.int32], int]:
-    """Cube of each used point (N,), and how many cubes there are."""
-    _, _, keys, _, _, part = occupied(points, size_m, used)
-    return part, len(keys)
+    sums = np.zeros((6, count))
+    for row in range(len(points)):
+        k = part[row]
+        if k < 0:
+            continue
+        x, y, z = moved(points, row, T)
+        ax, ay, az = x - T[0, 3], y - T[1, 3], z - T[2, 3]
+        nx, ny, nz = surfaces.normal[row]
+        r = nx * (x - surfaces.anchor[row, 0])
+        r += ny * (y - surfaces.anchor[row, 1]) + nz * (z - surfaces.anchor[row, 2])
+        variance = scales[row] ** 2 + surfaces.variance[row]
+        kernel = 9.0 * variance / (9.0 * variance + r * r)
+        pull = weights[row] * kernel * kernel / variance * r
+        sums[0, k] += pull * nx
+        sums[1, k] += pull * ny
+        sums[2, k] += pull * nz
+        sums[3, k] += pull * (ay * nz - az * ny)
+        sums[4, k] += pull * (az * nx - ax * nz)
+        sums[5, k] += pull * (ax * ny - ay * nx)
+    unit, scaled = np.empty(6), np.empty((6, 6))
+    for i in range(6):
+        unit[i] = np.sqrt(max(H[i, i], 1e-9))
+        mean = sums[i].mean()
+        for k in range(count):
+            sums[i, k] = (sums[i, k] - mean) / unit[i]
+    for i in range(6):
+        for j in range(6):
+            scaled[i, j] = H[i, j] / (unit[i] * unit[j])
+        scaled[i, i] += _TINY
+    step = np.linalg.inv(scaled) @ sums
+    for i in range(6):
+        for k in range(count):
+            step[i, k] = min(max(step[i, k] / unit[i], -_CAP), _CAP)
+    return step @ step.T * (count / (count - 1.0))

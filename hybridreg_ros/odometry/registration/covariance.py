@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybridreg_ros.core import se3
+from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.odometry.result import LOST_VARIANCE
 
 if TYPE_CHECKING:
@@ -59,14 +60,32 @@ def of_pose(information: F64, factor: float) -> F64:
     Returns:
         (6, 6) symmetric, positive definite.
     """
-    unit = np.sqrt(np.maximum(np.diag(information), 1e-9))
-    values, vectors = np.linalg.eigh(information / np.outer(unit, unit))
-    values = np.maximum(values, 1e-6)
-    covariance = (vectors / values) @ vectors.T * factor / np.outer(unit, unit)
-    std = np.sqrt(np.diag(covariance))
-    shrink = np.minimum(1.0, _LARGEST_STD / std)
-    capped: F64 = covariance * np.outer(shrink, shrink)
-    return 0.5 * (capped + capped.T)
+    capped: F64 = _inverse(np.ascontiguousarray(information), factor)
+    return capped
+
+
+@compiled
+def _inverse(information, factor):  # type: ignore[no-untyped-def]
+    """The kernel of `of_pose`."""
+    n = len(information)
+    unit, scaled, inverse = np.empty(n), np.empty((n, n)), np.zeros((n, n))
+    for i in range(n):
+        unit[i] = np.sqrt(max(information[i, i], 1e-9))
+    for i in range(n):
+        for j in range(n):
+            scaled[i, j] = information[i, j] / (unit[i] * unit[j])
+    values, vectors = np.linalg.eigh(scaled)
+    for i in range(n):
+        for j in range(n):
+            for k in range(n):
+                inverse[i, j] += vectors[i, k] * vectors[j, k] / max(values[k], 1e-6)
+            inverse[i, j] *= factor / (unit[i] * unit[j])
+    for i in range(n):
+        unit[i] = min(1.0, _LARGEST_STD / np.sqrt(inverse[i, i]))
+    for i in range(n):
+        for j in range(n):
+            inverse[i, j] *= unit[i] * unit[j]
+    return inverse
 
 
 def of_fit(fit: Fit, ahead_s: float, factor: float) -> F64:

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The motion within a scan found together with its pose: moments, update, solution."""
 
-# ruff: noqa: D417, PLR0913, PLR0917 (kernels take plain arrays, named in `VoxelLevel`)
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
@@ -12,7 +11,8 @@ import numpy as np
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.odometry.motion.intra_scan_motion import IntraScanMotion
-from hybridreg_ros.odometry.registration.kernels import NONE, PLANE
+from hybridreg_ros.odometry.registration.gauss_newton import solve
+from hybridreg_ros.odometry.registration.kernels import NONE, PLANE, moved
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -87,18 +87,8 @@ def update(
     return T, IntraScanMotion(intra_scan.rate + step[6:12], intra_scan.bend + step[12:], H), moved
 
 
-def solve(H: F64, b: F64) -> F64:
-    """Solution of H step = -b in the directions that the points hold; zero along the others."""
-    unit = np.sqrt(np.maximum(np.diag(H), 1e-12))
-    values, vectors = np.linalg.eigh(H / np.outer(unit, unit))
-    held = values > 1e-4
-    projected = np.where(held, (vectors.T @ (-b / unit)) / np.where(held, values, 1.0), 0.0)
-    step: F64 = (vectors @ projected) / unit
-    return step
-
-
 @compiled
-def moments(points, times, weights, R, t, kind, anchor, normal, var, scale, point_var):  # type: ignore[no-untyped-def]
+def moments(points, times, weights, T, surfaces, scale, point_var):  # type: ignore[no-untyped-def]
     """Sums of the robust cost over powers of the time of each point.
 
     The unknowns are, per power, a shift (3,) of the position and a turn (3,) about the sensor, in
@@ -108,25 +98,24 @@ def moments(points, times, weights, R, t, kind, anchor, normal, var, scale, poin
         points: (N, 3) float64, sensor frame, as carried to the instant.
         times: (N,) seconds after the instant.
         weights: (N,) trust per point, [0, 1].
+        T: (4, 4) pose of the instant.
+        surfaces: of the points.
         scale: (N,) standard deviation of a good plane residual, metres.
         point_var: variance of a point-to-point residual, m^2.
 
     Returns:
         (5, 6, 6) sums of w s^k J J^T, and (3, 6) sums of w s^k J r.
     """
+    kind, anchor, normal, var, _, _ = surfaces
     H = np.zeros((5, 6, 6))
     b = np.zeros((3, 6))
     J = np.zeros(6)
     for row in range(len(points)):
         if kind[row] == NONE or weights[row] <= 0.0:
             continue
-        px, py, pz = points[row, 0], points[row, 1], points[row, 2]
-        ax = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz
-        ay = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz
-        az = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz
-        dx = ax + t[0] - anchor[row, 0]
-        dy = ay + t[1] - anchor[row, 1]
-        dz = az + t[2] - anchor[row, 2]
+        x, y, z = moved(points, row, T)
+        ax, ay, az = x - T[0, 3], y - T[1, 3], z - T[2, 3]
+        dx, dy, dz = x - anchor[row, 0], y - anchor[row, 1], z - anchor[row, 2]
         plane = kind[row] == PLANE
         for axis in range(1 if plane else 3):
             if plane:

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Numba kernels of robust point-to-plane ICP against a voxel level."""
 
-# ruff: noqa: D417, PLR0913, PLR0917 (kernels take plain arrays, named in `VoxelLevel`)
 from __future__ import annotations
 
 import numpy as np
@@ -55,22 +54,22 @@ def _lasts(support):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _nearest_each(points, R, t, grid):  # type: ignore[no-untyped-def]
+def _nearest_each(points, T, grid):  # type: ignore[no-untyped-def]
     """Stored point nearest to each moved point and its voxel, (N,) int64; -1 = none."""
     at, home = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
     for row in range(len(points)):
-        x, y, z = _moved(points, row, R, t)
+        x, y, z = moved(points, row, T)
         at[row], home[row], _ = nearest(x, y, z, grid)
     return at, home
 
 
 @compiled_inline
-def _moved(points, row, R, t):  # type: ignore[no-untyped-def]
+def moved(points, row, T):  # type: ignore[no-untyped-def]
     """Point of a row, in the map frame."""
     px, py, pz = points[row, 0], points[row, 1], points[row, 2]
-    x = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + t[0]
-    y = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz + t[1]
-    z = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2]
+    x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
+    y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
+    z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
     return x, y, z
 
 
@@ -116,8 +115,8 @@ def _shares(i, voxel, grid, update):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def associate(points, R, t, grid, wider, widest, update, kind, anchor, normal, var, born):  # type: ignore[no-untyped-def]
-    """Surface of the map nearest to each moved point.
+def associate(points, T, grids, update, surfaces):  # type: ignore[no-untyped-def]
+    """Surface of the map nearest to each moved point, into `surfaces`.
 
     The nearest stored point within one voxel edge brings its surface along. It is fitted when
     first needed and again after some updates of the map, so it does not follow the query point:
@@ -128,34 +127,31 @@ def associate(points, R, t, grid, wider, widest, update, kind, anchor, normal, v
     meet rings. So such a point is paired on the wider level, when it lies on a plane there.
 
     Args:
-        points: (N, 3) float64, sensor frame; R, t move them into the map frame.
-        grid: the level.
-        wider: the level that gives surfaces where this one is too fine.
-        widest: the level that does where that one is too fine as well; `wider` for none.
+        points: (N, 3) float64, sensor frame.
+        T: (4, 4) moves them into the map frame.
+        grids: the level; the wider one that gives surfaces where this one is too fine; the widest
+            one that does where that one is too fine as well (the wider one again for none).
         update: number of updates of the map so far, > 0.
-        kind: (N,) int8 out, NONE, POINT or PLANE.
-        anchor: (N, 3) float64 out, a point of the surface.
-        normal: (N, 3) float64 out, unit normal (PLANE).
-        var: (N,) float64 out, variance of the map points across the plane, m^2.
-        born: (N,) float64 out, age of the map, seconds, when that stored point was first seen.
+        surfaces: N of them.
     """
-    at, home = _nearest_each(points, R, t, grid)
+    grid, wider, widest = grids
+    at, home = _nearest_each(points, T, grid)
     _fit_due(at, home, grid, wider, widest, update)
-    _pair(points, np.arange(len(points)), at, R, t, np.inf, grid, kind, anchor, normal, var, born)
+    _pair(points, np.arange(len(points)), at, T, np.inf, grid, surfaces)
     if wider.size > grid.size and not grid.by_mass:
         left = np.flatnonzero(at < 0)
-        at, home = _nearest_each(points[left], R, t, wider)
+        at, home = _nearest_each(points[left], T, wider)
         _fit_due(at, home, wider, widest, widest, update)
-        slack = BETWEEN * grid.size
-        _pair(points, left, at, R, t, slack, wider, kind, anchor, normal, var, born)
+        _pair(points, left, at, T, BETWEEN * grid.size, wider, surfaces)
 
 
 @compiled
-def _pair(points, rows, at, R, t, slack, grid, kind, anchor, normal, var, born):  # type: ignore[no-untyped-def]
-    """Pair points `rows` with the surfaces of stored points `at`; outputs as of `associate`.
+def _pair(points, rows, at, T, slack, grid, surfaces):  # type: ignore[no-untyped-def]
+    """Pair points `rows` with the surfaces of stored points `at`.
 
     With a finite slack only those that are planes no farther away, metres.
     """
+    kind, anchor, normal, var, born, _ = surfaces
     for k in range(len(rows)):
         row, i = rows[k], at[k]
         kind[row] = NONE
@@ -163,7 +159,7 @@ def _pair(points, rows, at, R, t, slack, grid, kind, anchor, normal, var, born):
             continue
         surface = grid.surface[i]
         if slack < np.inf:
-            x, y, z = _moved(points, row, R, t)
+            x, y, z = moved(points, row, T)
             off = -float(surface.offset)
             off += (x - grid.store[i, 0]) * surface.nx
             off += (y - grid.store[i, 1]) * surface.ny
@@ -178,16 +174,15 @@ def _pair(points, rows, at, R, t, slack, grid, kind, anchor, normal, var, born):
 
 
 @compiled
-def residuals(points, R, t, kind, anchor, normal, out):  # type: ignore[no-untyped-def]
-    """Distance of each moved point to its plane or point, metres, into `out` (N,); inf = none."""
+def measure(points, T, surfaces):  # type: ignore[no-untyped-def]
+    """Distance of each moved point to its plane or point, metres, into `surfaces`; inf = none."""
+    kind, anchor, normal, _, _, out = surfaces
     for row in range(len(points)):
         if kind[row] == NONE:
             out[row] = np.inf
             continue
-        px, py, pz = points[row, 0], points[row, 1], points[row, 2]
-        dx = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + t[0] - anchor[row, 0]
-        dy = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz + t[1] - anchor[row, 1]
-        dz = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2] - anchor[row, 2]
+        x, y, z = moved(points, row, T)
+        dx, dy, dz = x - anchor[row, 0], y - anchor[row, 1], z - anchor[row, 2]
         if kind[row] == PLANE:
             out[row] = abs(dx * normal[row, 0] + dy * normal[row, 1] + dz * normal[row, 2])
         else:
@@ -216,8 +211,8 @@ def _add_any(H, w, ax, ay, az):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def normal_equations(points, weights, R, t, kind, anchor, normal, var, scale, point_var):  # type: ignore[no-untyped-def]
-    """Gauss-Newton system of the robust cost at (R, t).
+def normal_equations(points, weights, T, surfaces, scale, point_var):  # type: ignore[no-untyped-def]
+    """Gauss-Newton system of the robust cost at a pose.
 
     The unknowns are a shift (3,) of the position and a turn (3,) about the sensor, both in map
     axes. Each residual is weighted by its variance and by a Geman-McClure kernel.
@@ -225,6 +220,8 @@ def normal_equations(points, weights, R, t, kind, anchor, normal, var, scale, po
     Args:
         points: (N, 3) float64, sensor frame.
         weights: (N,) share of trust per point, [0, 1].
+        T: (4, 4) the pose.
+        surfaces: of the points.
         scale: (N,) standard deviation of a good plane residual, metres.
         point_var: variance of a point-to-point residual, m^2.
 
@@ -232,6 +229,7 @@ def normal_equations(points, weights, R, t, kind, anchor, normal, var, scale, po
         H (6, 6), b (6,): the step solves H step = -b. And G (6, 6): what H would be of the planes
         if their normals pointed everywhere evenly, times three.
     """
+    kind, anchor, normal, var, _, _ = surfaces
     H = np.zeros((6, 6))
     G = np.zeros((6, 6))
     b = np.zeros(6)
@@ -239,13 +237,9 @@ def normal_equations(points, weights, R, t, kind, anchor, normal, var, scale, po
     for row in range(len(points)):
         if kind[row] == NONE or weights[row] <= 0.0:
             continue
-        px, py, pz = points[row, 0], points[row, 1], points[row, 2]
-        ax = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz
-        ay = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz
-        az = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz
-        dx = ax + t[0] - anchor[row, 0]
-        dy = ay + t[1] - anchor[row, 1]
-        dz = az + t[2] - anchor[row, 2]
+        x, y, z = moved(points, row, T)
+        ax, ay, az = x - T[0, 3], y - T[1, 3], z - T[2, 3]
+        dx, dy, dz = x - anchor[row, 0], y - anchor[row, 1], z - anchor[row, 2]
         if kind[row] == PLANE:
             nx, ny, nz = normal[row, 0], normal[row, 1], normal[row, 2]
             r = dx * nx + dy * ny + dz * nz

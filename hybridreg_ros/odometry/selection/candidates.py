@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -107,7 +108,7 @@ class Candidate:
         """Whether enough is known of where it stands to judge it at all."""
         return min(self.evidence.overlap, self.evidence.seen) >= _SEEN
 
-    @property
+    @cached_property
     def evident(self) -> float:
         """P(pose right) by the evidence alone, [0, 1]."""
         return of_evidence(self.evidence) if self.is_seen else 0.0
@@ -122,7 +123,7 @@ class Candidate:
         """Log odds that it is right: by the evidence, less its innovation and the doubt."""
         return log_odds(self.evident) - AGAINST * max(0.0, self.innovation) - self.doubt
 
-    @property
+    @cached_property
     def rank(self) -> float:
         """By which the best of several is chosen: what nothing holds is as the prediction is."""
         return self.score + (log_odds(UNHELD) if self.fit.unheld.any() else 0.0)

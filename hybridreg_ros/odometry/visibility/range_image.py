@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -49,6 +50,11 @@ class Pixels:
     width: int
     height: int
     wraps: bool
+
+    @cached_property
+    def own(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """How points of its own frame become pixels, for kernels."""
+        return _sight(self, np.eye(4))
 
 
 def view_of(points: NDArray[np.floating], kind: str) -> Pixels:
@@ -117,7 +123,7 @@ class RangeImage:
     ) -> None:
         self.view = view
         self.T_odom_sensor = T_odom_sensor
-        count = len(points) if member is None else int(member.sum())
+        count = len(points) if member is None else np.count_nonzero(member)
         step = max(1, count // (_POINTS_PER_PIXEL * view.width * view.height))
         ranges, pixels = _seen(points[::step], view, np.eye(4))
         self._drawn: tuple[int, NDArray[np.float32], NDArray[np.int32]] = step, ranges, pixels
@@ -214,7 +220,7 @@ class RangeImage:
         if self._saw is None:
             self._saw = _seen_through(self._near, self._far, self._inside, *self._rows)
         seen_now = now._near.ravel(), now._far.ravel()
-        view = origin, *_sight(self.view, np.eye(4))
+        view = origin, *self.view.own
         _look(points, at, view, self._saw, seen_now, noise, age_s, (margin, speed))
         return margin, speed
 

@@ -123,7 +123,7 @@ class RangeImage:
     ) -> None:
         self.view = view
         self.T_odom_sensor = T_odom_sensor
-        count = len(points) if member is None else np.count_nonzero(member)
+        count = len(points) if member is None else int(np.count_nonzero(member))
         step = max(1, count // (_POINTS_PER_PIXEL * view.width * view.height))
         ranges, pixels = _seen(points[::step], view, np.eye(4))
         self._drawn: tuple[int, NDArray[np.float32], NDArray[np.int32]] = step, ranges, pixels

@@ -37,7 +37,7 @@ def transform(R: F64, t: F64) -> F64:
 
 def inverse(T: F64) -> F64:
     """Inverse of a rigid transform (4, 4); exact up to rounding, no general matrix inverse."""
-    result: F64 = _inverse(_array(T))
+    result: F64 = inverse_of(_array(T))
     return result
 
 
@@ -253,8 +253,8 @@ def aligned(H, mu_s, mu_t):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _inverse(T):  # type: ignore[no-untyped-def]
-    """`inverse` of a contiguous array."""
+def inverse_of(T):  # type: ignore[no-untyped-def]
+    """`inverse`, for kernels."""
     out = np.zeros((4, 4))
     out[3, 3] = 1.0
     for i in range(3):

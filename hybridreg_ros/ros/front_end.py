@@ -70,7 +70,7 @@ def build_front_end(
     filled = jit.is_filled(WITHOUT_NETWORK if model is None else jit.ALL)
     if not filled:
         say(
-            'compiling kernels, once after an installation or update (about a minute; '
+            'compiling kernels, once after an installation or update (one to two minutes; '
             '`hybridreg warm-up` does it beforehand)'
         )
     for step in warm_up(config, model, filled):

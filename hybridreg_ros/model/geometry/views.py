@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybridreg_ros.core.jit import compiled
+from hybridreg_ros.core.se3 import inverse_of
 from hybridreg_ros.model.geometry.grid import Grid, cell_point, cosine, moved
 
 if TYPE_CHECKING:
@@ -154,22 +155,11 @@ def _evenly_spread(count: int, most: int) -> I64:
 
 
 @compiled
-def inverse(T: F64) -> F64:
-    """Inverse of a rigid transform (4, 4)."""
-    out = np.eye(4)
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = T[j, i]
-            out[i, 3] -= T[j, i] * T[j, 3]
-    return out
-
-
-@compiled
 def _inverses(T: F64) -> F64:
-    """`inverse` of each of B transforms (B, 4, 4)."""
+    """Inverse of each of B rigid transforms (B, 4, 4)."""
     out = np.empty_like(T)
     for b in range(T.shape[0]):
-        out[b] = inverse(T[b])
+        out[b] = inverse_of(T[b])
     return out
 
 

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hybridreg_ros.core import se3
 from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.model.geometry.grid import cell_point, cosine, moved
 from hybridreg_ros.model.geometry.upsampling import upsample_to_level0
-from hybridreg_ros.model.geometry.views import View, depth_behind, inverse
+from hybridreg_ros.model.geometry.views import View, depth_behind
 from hybridreg_ros.model.network.estimators import weighted_inliers
 
 if TYPE_CHECKING:
@@ -173,7 +174,7 @@ def traces(
     out = np.empty((len(T), len(TRACES)))
     for b, forward in enumerate(T):
         there = _one_way(forward, *_sides(*views, opinions[0]))
-        back = _one_way(inverse(forward), *_sides(*views[::-1], opinions[1]))
+        back = _one_way(se3.inverse(forward), *_sides(*views[::-1], opinions[1]))
         fit, tight, trusted, intrusion, visible, hold, contact = 0.5 * (there + back)
         out[b] = fit, tight, trusted, share[b], intrusion, visible, hold, contact
     return out

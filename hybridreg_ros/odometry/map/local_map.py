@@ -67,7 +67,7 @@ class VoxelLevel:
             )
             row += done
             if row < len(points):
-                self._grow()
+                self.make_room()
 
     def keep_near(self, centre: NDArray[np.float64], reach_m: float) -> None:
         """Drop cubes farther from the centre (3,) than the reach, and empty ones."""
@@ -76,12 +76,14 @@ class VoxelLevel:
 
     def erase_near(self, points: NDArray[np.floating], reach_m: float) -> int:
         """Remove stored points that share a cube with a point (N, 3) and lie within the reach."""
-        removed: int = voxel_map.erase_near(points, reach_m**2, self.grid)
+        places = np.ascontiguousarray(points)
+        removed: int = voxel_map.erase_near(places, reach_m**2, self.grid)
         return removed
 
     def distance(self, points: NDArray[np.floating], T: NDArray[np.float64]) -> float:
         """Mean distance, metres, of points (N, 3) moved by T to the map, cut off at one cube."""
-        mean: float = voxel_map.mean_distance(points, T[:3, :3].copy(), T[:3, 3].copy(), self.grid)
+        R, t, places = T[:3, :3].copy(), T[:3, 3].copy(), np.ascontiguousarray(points)
+        mean: float = voxel_map.mean_distance(places, R, t, self.grid)
         return mean
 
     def __len__(self) -> int:
@@ -94,7 +96,7 @@ class VoxelLevel:
         stored: NDArray[np.float32] = voxel_map.gather(grid.voxels, grid.store, self.used)
         return stored
 
-    def _grow(self) -> None:
+    def make_room(self) -> None:
         """Make room: twice as many cubes; or twice as many points, or those packed that are there.
 
         Rows of the new arrays that are not used yet take no memory.

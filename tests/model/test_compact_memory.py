@@ -17,7 +17,7 @@ from hybridreg_ros.model.geometry.grid import Grid
 from hybridreg_ros.model.geometry.pyramid import build_pyramid
 from hybridreg_ros.model.pose.verify import view_of
 from hybridreg_ros.odometry.keyframes import Keyframe
-from hybridreg_ros.odometry.network_branch import LearnedBranch
+from hybridreg_ros.odometry.network_branch import LearnedBranch, load
 
 if TYPE_CHECKING:
     from hybridreg_ros.model.reference.network import HybridRegNet
@@ -74,7 +74,9 @@ def test_strided_empty_and_other_values_are_left() -> None:
 
 
 def test_the_cloud_of_a_keyframe_is_compacted(compact_net: HybridRegNet, room: np.ndarray) -> None:
-    branch = LearnedBranch(HybridReg(compact_net.config, compact_net), 2)
+    registrar = load(HybridReg(compact_net.config, compact_net))
+    assert registrar is not None
+    branch = LearnedBranch(registrar, 2)
     scan = branch.encode(room, Budget())
     branch.adopt(Keyframe(0, 0, np.eye(4), room), scan)
     (encoded,) = branch.kept

@@ -8,7 +8,7 @@ import numpy as np
 
 from hybridreg_ros.core.jit import compiled
 from hybridreg_ros.odometry.map.thinning import occupied
-from hybridreg_ros.odometry.registration.kernels import moved
+from hybridreg_ros.odometry.registration.kernels import moved, scaled, units_of
 
 _PART = 8.0
 """Edge of a part, in voxels: points in it (of one thing, of one stretch of wall) err alike."""
@@ -63,17 +63,12 @@ def cluster_covariance(points, weights, T, surfaces, scales, H, size_m):  # type
         sums[3, k] += pull * (ay * nz - az * ny)
         sums[4, k] += pull * (az * nx - ax * nz)
         sums[5, k] += pull * (ax * ny - ay * nx)
-    unit, scaled = np.empty(6), np.empty((6, 6))
+    unit = units_of(H, 1e-9)
     for i in range(6):
-        unit[i] = np.sqrt(max(H[i, i], 1e-9))
         mean = sums[i].mean()
         for k in range(count):
             sums[i, k] = (sums[i, k] - mean) / unit[i]
-    for i in range(6):
-        for j in range(6):
-            scaled[i, j] = H[i, j] / (unit[i] * unit[j])
-        scaled[i, i] += _TINY
-    step = np.linalg.inv(scaled) @ sums
+    step = np.linalg.inv(scaled(H, unit, _TINY)) @ sums
     for i in range(6):
         for k in range(count):
             step[i, k] = min(max(step[i, k] / unit[i], -_CAP), _CAP)

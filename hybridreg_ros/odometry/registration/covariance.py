@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hybridreg_ros.core import se3
 from hybridreg_ros.core.jit import compiled
+from hybridreg_ros.odometry.registration.kernels import scaled, units_of
 from hybridreg_ros.odometry.result import LOST_VARIANCE
 
 if TYPE_CHECKING:
@@ -67,25 +68,11 @@ def of_pose(information: F64, factor: float) -> F64:
 @compiled
 def _inverse(information, factor):  # type: ignore[no-untyped-def]
     """The kernel of `of_pose`."""
-    n = len(information)
-    unit, scaled, inverse = np.empty(n), np.empty((n, n)), np.zeros((n, n))
-    for i in range(n):
-        unit[i] = np.sqrt(max(information[i, i], 1e-9))
-    for i in range(n):
-        for j in range(n):
-            scaled[i, j] = information[i, j] / (unit[i] * unit[j])
-    values, vectors = np.linalg.eigh(scaled)
-    for i in range(n):
-        for j in range(n):
-            for k in range(n):
-                inverse[i, j] += vectors[i, k] * vectors[j, k] / max(values[k], 1e-6)
-            inverse[i, j] *= factor / (unit[i] * unit[j])
-    for i in range(n):
-        unit[i] = min(1.0, _LARGEST_STD / np.sqrt(inverse[i, i]))
-    for i in range(n):
-        for j in range(n):
-            inverse[i, j] *= unit[i] * unit[j]
-    return inverse
+    unit = units_of(information, 1e-9)
+    values, vectors = np.linalg.eigh(scaled(information, unit, 0.0))
+    held = scaled((vectors / np.maximum(values, 1e-6)) @ vectors.T * factor, unit, 0.0)
+    capped = scaled(held, np.maximum(1.0, units_of(held, 0.0) / _LARGEST_STD), 0.0)
+    return 0.5 * (capped + capped.T)
 
 
 def of_fit(fit: Fit, ahead_s: float, factor: float) -> F64:

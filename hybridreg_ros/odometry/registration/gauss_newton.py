@@ -15,6 +15,8 @@ from hybridreg_ros.odometry.registration.kernels import (
     associate,
     measure,
     normal_equations,
+    scaled,
+    units_of,
 )
 from hybridreg_ros.odometry.registration.surfaces import by_age, scales, unpaired
 
@@ -142,13 +144,8 @@ def _length(values, first):  # type: ignore[no-untyped-def]
 @compiled
 def solve(H, b):  # type: ignore[no-untyped-def]
     """Solution of H step = -b in the directions that the points hold; zero along the others."""
-    unit, scaled = np.empty(len(b)), np.empty_like(H)
-    for i in range(len(b)):
-        unit[i] = np.sqrt(max(H[i, i], 1e-12))
-    for i in range(len(b)):
-        for j in range(len(b)):
-            scaled[i, j] = H[i, j] / (unit[i] * unit[j])
-    values, vectors = np.linalg.eigh(scaled)
+    unit = units_of(H, 1e-12)
+    values, vectors = np.linalg.eigh(scaled(H, unit, 0.0))
     step = np.zeros(len(b))
     for k in range(len(b)):
         if values[k] > 1e-4:
@@ -178,23 +175,11 @@ def believed(H, b, any_way):  # type: ignore[no-untyped-def]
         Information (6, 6) and gradient (6,); the solution of the system alone stays the same.
     """
     # Pairs of points are in H alone: where there are hardly any planes they set the units.
-    unit, scaled, noise, along = np.empty(6), np.empty((6, 6)), np.empty((6, 6)), np.empty(6)
-    for i in range(6):
-        unit[i] = np.sqrt(max(any_way[i, i], H[i, i], 1e-12))
-        along[i] = b[i] / unit[i]
-    for i in range(6):
-        for j in range(6):
-            scaled[i, j] = H[i, j] / (unit[i] * unit[j])
-            full = any_way[i, j] / (unit[i] * unit[j])
-            noise[i, j] = scaled[i, j] + _LOOSE * (full - scaled[i, j])
-        noise[i, i] += 1e-9
-    part = scaled @ np.linalg.inv(noise)
-    held, pull = part @ scaled, part @ along
-    for i in range(6):
-        pull[i] *= unit[i]
-        for j in range(6):
-            held[i, j] *= unit[i] * unit[j]
-    return held, pull
+    unit = np.maximum(units_of(any_way, 1e-12), units_of(H, 1e-12))
+    seeming, full = scaled(H, unit, 0.0), scaled(any_way, unit, 0.0)
+    noise = seeming + _LOOSE * (full - seeming) + 1e-9 * np.eye(6)
+    part = seeming @ np.linalg.inv(noise)
+    return scaled(part @ seeming, 1.0 / unit, 0.0), (part @ (b / unit)) * unit
 
 
 @compiled
@@ -205,16 +190,9 @@ def unheld(H, any_way):  # type: ignore[no-untyped-def]
         H: (6, 6) information of the planes.
         any_way: (6, 6) information if every surface held all directions.
     """
-    unit, full, planes = np.empty(6), np.empty((6, 6)), np.empty((6, 6))
-    for i in range(6):
-        unit[i] = np.sqrt(max(any_way[i, i], 1e-12))
-    for i in range(6):
-        for j in range(6):
-            full[i, j] = any_way[i, j] / (unit[i] * unit[j])
-            planes[i, j] = H[i, j] / (unit[i] * unit[j])
-        full[i, i] += 1e-6
-    inverse = np.linalg.inv(np.linalg.cholesky(full))
-    shares, vectors = np.linalg.eigh(inverse @ planes @ inverse.T)
+    unit = units_of(any_way, 1e-12)
+    inverse = np.linalg.inv(np.linalg.cholesky(scaled(any_way, unit, 1e-6)))
+    shares, vectors = np.linalg.eigh(inverse @ scaled(H, unit, 0.0) @ inverse.T)
     loose = inverse.T @ vectors
     projection = np.zeros((6, 6))
     for k in range(6):  # Gram-Schmidt

@@ -211,6 +211,26 @@ def _add_any(H, w, ax, ay, az):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def units_of(H, least):  # type: ignore[no-untyped-def]
+    """Units (N,) in which the diagonal of a matrix (N, N) is 1, or less where it is too small."""
+    unit = np.empty(len(H))
+    for i in range(len(H)):
+        unit[i] = np.sqrt(max(H[i, i], least))
+    return unit
+
+
+@compiled
+def scaled(H, unit, added):  # type: ignore[no-untyped-def]
+    """A matrix (N, N) over units (N,) of rows and columns, its diagonal then raised by `added`."""
+    out = np.empty(H.shape)
+    for i in range(len(unit)):
+        for j in range(len(unit)):
+            out[i, j] = H[i, j] / (unit[i] * unit[j])
+        out[i, i] += added
+    return out
+
+
+@compiled
 def normal_equations(points, weights, T, surfaces, scale, point_var):  # type: ignore[no-untyped-def]
     """Gauss-Newton system of the robust cost at a pose.
 

@@ -101,11 +101,6 @@ class LearnedBranch:
         self._memory = memory
         self._keyframes: dict[tuple[int, Budget], Any] = {}
 
-    @property
-    def kept(self) -> list[Any]:
-        """Encodings of keyframes, those that were asked for last at the end."""
-        return list(self._keyframes.values())
-
     def _of(self, budget: Budget) -> Registrar:
         """The registrar whose voxel keeps to a budget."""
         if budget not in self._sequences:

@@ -79,7 +79,7 @@ def test_the_cloud_of_a_keyframe_is_compacted(compact_net: HybridRegNet, room: n
     branch = LearnedBranch(registrar, 2)
     scan = branch.encode(room, Budget())
     branch.adopt(Keyframe(0, 0, np.eye(4), room), scan)
-    (encoded,) = branch.kept
+    (encoded,) = branch._keyframes.values()
     grids = encoded.view.grid.nearest, encoded.view.wide.nearest
     kept = [a for a in arrays(encoded) if not any(a is g for g in grids) and a.size]
     assert len(kept) > 20

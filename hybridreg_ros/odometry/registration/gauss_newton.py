@@ -20,9 +20,9 @@ from hybridreg_ros.odometry.registration.kernels import (
 )
 from hybridreg_ros.odometry.registration.surfaces import by_age, scales, unpaired
 
-STILL = 0.03
+_STILL = 0.03
 """The iteration ends when a step is smaller than this, in voxels."""
-SHRINK, LEAST = 0.6, 0.02
+_SHRINK, LEAST = 0.6, 0.02
 """Factor on the robust scale per iteration, and its floor, voxels."""
 POINT_SPREAD = 5.0
 """Standard deviation of a point-to-point residual, in voxels: such pairs follow the pattern of the
@@ -87,14 +87,14 @@ def settle(points, trust, order, T, grids, clock, course, prior):  # type: ignor
             step = solve(H, b)
             T = _stepped(T, step)
             moved_m = max(moved_m, _length(step, 0) + reach * _length(step, 3))
-        if every == 1 and floor < 2.0 * LEAST and moved_m < STILL * size:
+        if every == 1 and floor < 2.0 * LEAST and moved_m < _STILL * size:
             return T, True, surfaces
         if every > 1 and moved_m < _CLOSE * size:
             every, floor = 1, LEAST
             some, weight, ranked = _every(every, points, trust, order)
             surfaces = unpaired(len(some))
         else:
-            floor *= SHRINK
+            floor *= _SHRINK
     return T, False, surfaces
 
 
